@@ -1,0 +1,75 @@
+//! An alert: where one parameter stands against one rule, and why.
+
+use serde::{Deserialize, Serialize};
+use spandrel_bus::{AlertMessage, AlertState, CredibleInterval, Name};
+
+use crate::{LossEstimate, ParameterEstimate, Reference};
+
+/// Where one parameter stands against one rule, since the last change.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Alert {
+    /// Number of the rule in the structure file, from 0.
+    pub rule: usize,
+    /// Number of the parameter in state order.
+    pub parameter: usize,
+    /// The state from now on.
+    pub state: AlertState,
+    /// The estimate that decided.
+    pub estimate: ParameterEstimate,
+    /// Since when the loss has been credible, ns; `None` while it is not.
+    pub since_ns: Option<i64>,
+    /// Loss that the rule asks about, share of the reference.
+    pub rule_loss: f64,
+    /// Probability that the rule asks for.
+    pub rule_credibility: f64,
+    /// Probability of that loss now; 0 while the reference is learnt.
+    pub probability_of_loss: f64,
+    /// What the loss is counted from; `None` while it is learnt.
+    pub reference: Option<Reference>,
+    /// The loss with its 95 % interval; `None` while the reference is learnt.
+    pub loss: Option<LossEstimate>,
+    /// Who has acknowledged, and what they noted.
+    pub acknowledgement: Option<Acknowledged>,
+    /// The decision in words.
+    pub why: String,
+}
+
+/// Level of the interval of [`LossEstimate`].
+const LOSS_INTERVAL_LEVEL: f64 = 0.95;
+
+/// Who has seen an alert.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Acknowledged {
+    /// Who.
+    pub who: String,
+    /// A note; may be empty.
+    pub note: String,
+}
+
+impl Alert {
+    /// The message that says so to others; the only place that knows both forms.
+    pub fn to_message(&self, structure: &Name, parameter: &Name) -> AlertMessage {
+        AlertMessage {
+            structure: structure.clone(),
+            parameter: parameter.clone(),
+            time_ns: self.estimate.time_ns,
+            state: self.state,
+            since_ns: self.since_ns,
+            rule_loss: self.rule_loss,
+            rule_credibility: self.rule_credibility,
+            credibility: self.probability_of_loss,
+            loss: self.loss.map(|estimate| estimate.loss),
+            loss_interval: self.loss.map(|estimate| CredibleInterval {
+                level: LOSS_INTERVAL_LEVEL,
+                low: estimate.low,
+                high: estimate.high,
+            }),
+            mean: self.estimate.mean,
+            std: self.estimate.std,
+            reference: self.reference.map(|reference| reference.mean()),
+            reference_std: self.reference.map(|reference| reference.std()),
+            acknowledged_by: self.acknowledgement.as_ref().map(|acknowledged| acknowledged.who.clone()),
+            why: self.why.clone(),
+        }
+    }
+}

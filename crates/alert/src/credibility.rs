@@ -1,0 +1,127 @@
+//! How sure a loss is: estimate and reference are independent normal variables.
+//!
+//! Notation: m, s mean and standard deviation of the parameter; r, s_r those of the reference (all ratios to nominal);
+//! L loss, so that L = 1 − parameter/reference; Φ the standard normal distribution function.
+//!
+//! Source of the interval of a quotient: E. C. Fieller, *Some problems in interval estimation*, J. R. Stat. Soc. B 16
+//! (1954), 175-185. Independence errs on the safe side of a reference learnt from the same filter: errors that both
+//! share would cancel.
+
+use std::f64::consts::SQRT_2;
+
+use serde::{Deserialize, Serialize};
+
+use crate::Reference;
+
+/// Mean and standard deviation of a parameter at one time.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ParameterEstimate {
+    /// Time of the frame, ns.
+    pub time_ns: i64,
+    /// Mean, ratio to nominal.
+    pub mean: f64,
+    /// Standard deviation, ratio to nominal.
+    pub std: f64,
+}
+
+/// A loss and the interval that holds it with probability 0.95; shares of the reference (0.1 = 10 %).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LossEstimate {
+    /// 1 − m/r
+    pub loss: f64,
+    /// The loss is more than this with probability 0.975.
+    pub low: f64,
+    /// The loss is less than this with probability 0.975.
+    pub high: f64,
+}
+
+/// Φ(1.959964) = 0.975: the quantile of a two-sided 95 % interval.
+const QUANTILE_95: f64 = 1.959_963_984_540_054;
+
+/// Probability that the parameter has lost more than `loss` (share of the reference).
+///
+/// P = Φ(((1 − L)·r − m) / √(s² + (1 − L)²·s_r²)), because the parameter less (1 − L) times the reference is normal.
+pub fn probability_of_loss(estimate: &ParameterEstimate, reference: &Reference, loss: f64) -> f64 {
+    let kept = 1.0 - loss;
+    let margin = kept * reference.mean() - estimate.mean;
+    let std = estimate.std.hypot(kept * reference.std());
+    if std == 0.0 {
+        return if margin > 0.0 { 1.0 } else { 0.0 };
+    }
+    normal_cdf(margin / std)
+}
+
+/// The loss against the reference with its 95 % interval.
+///
+/// The ends are the L at which [`probability_of_loss`] is 0.975 and 0.025 (Fieller 1954): the roots q = 1 − L of
+/// (r² − z²·s_r²)·q² − 2·m·r·q + m² − z²·s² = 0. A [`Reference`] is at least three standard deviations from zero, so the
+/// first coefficient is positive and the interval finite.
+pub fn loss_estimate(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
+    let (m, r) = (estimate.mean, reference.mean());
+    let zs = QUANTILE_95 * estimate.std;
+    let zs_r = QUANTILE_95 * reference.std();
+    let a = r * r - zs_r * zs_r;
+    let half_b = m * r;
+    // half_b² − a·c, with the terms that cancel left out
+    let discriminant = (zs * r).powi(2) + (zs_r * m).powi(2) - (zs * zs_r).powi(2);
+    let root = discriminant.max(0.0).sqrt();
+    LossEstimate { loss: 1.0 - m / r, low: 1.0 - (half_b + root) / a, high: 1.0 - (half_b - root) / a }
+}
+
+/// Φ(z) = erfc(−z/√2)/2, with full relative precision in the lower tail.
+fn normal_cdf(z: f64) -> f64 {
+    0.5 * libm::erfc(-z / SQRT_2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn estimate(mean: f64, std: f64) -> ParameterEstimate {
+        ParameterEstimate { time_ns: 0, mean, std }
+    }
+
+    #[test]
+    fn normal_distribution_has_its_tabled_values_also_far_out() {
+        // Abramowitz & Stegun (1964), tables 26.1 and 26.2: Φ(1), Φ(1.96), and -log10 of 1 − Φ(x) for x = 5 and 10.
+        assert!((normal_cdf(1.0) - 0.841_344_746_068_543).abs() < 1e-14);
+        assert!((normal_cdf(-1.96) - 0.024_997_895_148_220).abs() < 1e-14);
+        assert!((normal_cdf(-5.0).log10() + 6.542_65).abs() < 1e-5);
+        assert!((normal_cdf(-10.0).log10() + 23.118_05).abs() < 1e-5);
+    }
+
+    #[test]
+    fn loss_of_the_mean_itself_has_probability_one_half() {
+        let reference = Reference::new(0.9, 0.02).unwrap();
+        assert_eq!(probability_of_loss(&estimate(0.9 * 0.75, 0.03), &reference, 0.25), 0.5);
+    }
+
+    #[test]
+    fn uncertain_reference_makes_a_loss_less_sure() {
+        // (0.95 - 0.90)/0.02 = 2.5; with s_r = 0.04: 0.05/√(0.02² + 0.038²) = 1.164 37.
+        // Φ(2.5) = 0.993 790 (A&S table 26.1); Φ(1.16) = 0.876 976, Φ(1.17) = 0.879 000.
+        let sharp = probability_of_loss(&estimate(0.9, 0.02), &Reference::DESIGN, 0.05);
+        assert!((sharp - 0.993_790).abs() < 1e-6, "{sharp}");
+        let learnt = Reference::new(1.0, 0.04).unwrap();
+        let blurred = probability_of_loss(&estimate(0.9, 0.02), &learnt, 0.05);
+        assert!((0.876_976..0.879_000).contains(&blurred), "{blurred}");
+    }
+
+    #[test]
+    fn certain_estimate_gives_certainty() {
+        assert_eq!(probability_of_loss(&estimate(0.9, 0.0), &Reference::DESIGN, 0.05), 1.0);
+        assert_eq!(probability_of_loss(&estimate(0.96, 0.0), &Reference::DESIGN, 0.05), 0.0);
+    }
+
+    #[test]
+    fn ends_of_the_interval_are_where_the_probability_is_0_975_and_0_025() {
+        for (mean, std, r, s_r) in [(0.85, 0.01, 1.0, 0.0), (0.7, 0.05, 0.95, 0.1), (1.2, 0.3, 1.0, 0.3)] {
+            let reference = Reference::new(r, s_r).unwrap();
+            let interval = loss_estimate(&estimate(mean, std), &reference);
+            let at_low = probability_of_loss(&estimate(mean, std), &reference, interval.low);
+            let at_high = probability_of_loss(&estimate(mean, std), &reference, interval.high);
+            assert!((at_low - 0.975).abs() < 1e-12 && (at_high - 0.025).abs() < 1e-12, "{at_low} {at_high}");
+            assert!(interval.low < interval.loss && interval.loss < interval.high);
+        }
+    }
+}

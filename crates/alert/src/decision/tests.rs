@@ -1,0 +1,255 @@
+use spandrel_bus::AlertState::{Acknowledged as Seen, Cleared, Learning as Learns, Normal, Pending, Raised};
+
+use super::*;
+
+const S: i64 = 1_000_000_000;
+
+fn subject() -> Subject {
+    Subject { parameter: 1, name: "storey-2".into(), quantity: "stiffness".into(), prior_std: 0.3 }
+}
+
+/// More than 5 % with 95 % for 10 s.
+fn rule() -> Rule {
+    Rule::new(0.05, 0.95, 0.5, 10.0).unwrap()
+}
+
+/// A decision, and the alerts that it has given.
+struct Drive {
+    decision: Decision,
+    alerts: Vec<Alert>,
+}
+
+impl Drive {
+    fn new(rule: Rule) -> Self {
+        Self { decision: Decision::new(0, rule, subject()), alerts: Vec::new() }
+    }
+
+    /// One estimate each second from `seconds.start` on.
+    fn estimates(&mut self, seconds: std::ops::Range<i64>, mean: f64, std: f64) -> &mut Self {
+        for second in seconds {
+            let estimate = ParameterEstimate { time_ns: second * S, mean, std };
+            self.decision.handle(Input::Estimate(estimate), &mut self.alerts);
+        }
+        self
+    }
+
+    fn input(&mut self, input: Input) -> &mut Self {
+        self.decision.handle(input, &mut self.alerts);
+        self
+    }
+
+    fn acknowledge(&mut self) -> bool {
+        let by = Acknowledged { who: "Ada".into(), note: "crew is under way".into() };
+        self.decision.handle(Input::Acknowledge(by), &mut self.alerts)
+    }
+
+    /// States with their times in s.
+    fn states(&self) -> Vec<(AlertState, i64)> {
+        self.alerts.iter().map(|alert| (alert.state, alert.estimate.time_ns / S)).collect()
+    }
+}
+
+const SOUND: f64 = 1.0;
+const SOFT: f64 = 0.86;
+const SURE: f64 = 0.01;
+
+#[test]
+fn sound_parameter_gives_no_alert() {
+    let mut drive = Drive::new(rule());
+    assert_eq!(drive.estimates(0..100, SOUND, SURE).states(), []);
+}
+
+#[test]
+fn sustained_loss_is_pending_then_raised_after_the_sustain_time() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..5, SOUND, SURE).estimates(5..30, SOFT, SURE);
+    assert_eq!(drive.states(), [(Pending, 5), (Raised, 15)]);
+    assert_eq!(drive.alerts[1].since_ns, Some(5 * S));
+}
+
+#[test]
+fn interrupted_loss_starts_its_sustain_time_anew() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..9, SOFT, SURE).estimates(9..10, SOUND, SURE).estimates(10..30, SOFT, SURE);
+    assert_eq!(drive.states(), [(Pending, 0), (Normal, 9), (Pending, 10), (Raised, 20)]);
+}
+
+#[test]
+fn loss_that_is_not_sure_enough_is_not_raised() {
+    // 14 % loss with 8 % standard deviation: Φ((0.95 − 0.86)/0.08) = Φ(1.125) = 0.87.
+    let mut drive = Drive::new(rule());
+    assert_eq!(drive.estimates(0..100, SOFT, 0.08).states(), []);
+}
+
+#[test]
+fn sustain_time_of_zero_raises_at_once() {
+    let mut drive = Drive::new(Rule::new(0.05, 0.95, 0.5, 0.0).unwrap());
+    assert_eq!(drive.estimates(3..5, SOFT, SURE).states(), [(Raised, 3)]);
+}
+
+#[test]
+fn raised_alert_does_not_flap_around_the_credibility() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..11, SOFT, SURE);
+    for second in 11..100 {
+        // P = 0.93 and 0.97 in turn (z = 1.5 and 1.9), each for longer than the sustain time; the clear credibility is 0.5.
+        let mean = if second % 40 < 20 { 0.935 } else { 0.931 };
+        drive.estimates(second..second + 1, mean, SURE);
+    }
+    assert_eq!(drive.states(), [(Pending, 0), (Raised, 10)]);
+}
+
+#[test]
+fn recovery_must_be_sustained_to_clear() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..11, SOFT, SURE);
+    drive.estimates(11..20, SOUND, SURE).estimates(20..21, SOFT, SURE).estimates(21..40, SOUND, SURE);
+    assert_eq!(drive.states(), [(Pending, 0), (Raised, 10), (Cleared, 31)]);
+}
+
+#[test]
+fn acknowledged_alert_clears_to_normal() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..11, SOFT, SURE);
+    assert!(drive.acknowledge());
+    drive.estimates(11..40, SOUND, SURE);
+    assert_eq!(drive.states(), [(Pending, 0), (Raised, 10), (Seen, 10), (Cleared, 21), (Normal, 21)]);
+}
+
+#[test]
+fn cleared_alert_that_nobody_saw_waits_for_its_acknowledgement() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..11, SOFT, SURE).estimates(11..40, SOUND, SURE);
+    assert_eq!(drive.decision.last_alert().map(|alert| alert.state), Some(Cleared));
+    assert!(drive.acknowledge());
+    assert_eq!(drive.decision.last_alert().map(|alert| alert.state), Some(Normal));
+}
+
+#[test]
+fn cleared_alert_that_nobody_saw_can_be_raised_again() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..11, SOFT, SURE).estimates(11..40, SOUND, SURE).estimates(40..60, SOFT, SURE);
+    assert_eq!(drive.states()[2..], [(Cleared, 21), (Pending, 40), (Raised, 50)]);
+}
+
+#[test]
+fn acknowledgement_of_nothing_has_no_effect() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..5, SOFT, SURE);
+    assert!(!drive.acknowledge());
+    assert_eq!(drive.states(), [(Pending, 0)]);
+}
+
+#[test]
+fn second_acknowledgement_does_not_replace_the_first() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..11, SOFT, SURE);
+    assert!(drive.acknowledge());
+    let other = Acknowledged { who: "Bob".into(), note: String::new() };
+    assert!(!drive.decision.handle(Input::Acknowledge(other), &mut drive.alerts));
+    assert_eq!(drive.decision.last_alert().and_then(|alert| alert.acknowledgement.clone()).unwrap().who, "Ada");
+}
+
+#[test]
+fn gap_and_restart_reset_what_is_pending() {
+    for interruption in [Input::Gap, Input::Restart] {
+        let mut drive = Drive::new(rule());
+        drive.estimates(0..9, SOFT, SURE).input(interruption).estimates(9..25, SOFT, SURE);
+        assert_eq!(drive.states(), [(Pending, 0), (Pending, 9), (Raised, 19)]);
+    }
+}
+
+#[test]
+fn pending_alert_that_a_gap_ended_is_told_to_be_normal() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..9, SOFT, SURE).input(Input::Gap).estimates(9..25, SOUND, SURE);
+    assert_eq!(drive.states(), [(Pending, 0), (Normal, 9)]);
+}
+
+#[test]
+fn raised_alert_stays_through_gap_and_restart() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..11, SOFT, SURE).input(Input::Gap).estimates(100..110, SOFT, SURE).input(Input::Restart);
+    drive.estimates(110..200, SOFT, SURE);
+    assert_eq!(drive.states(), [(Pending, 0), (Raised, 10)]);
+}
+
+#[test]
+fn prior_of_a_restarted_filter_clears_no_alert() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..11, SOFT, SURE).input(Input::Restart).estimates(11..60, SOUND, 0.3);
+    assert_eq!(drive.states(), [(Pending, 0), (Raised, 10)]);
+    drive.estimates(60..80, SOUND, SURE); // measured again: now it is news
+    assert_eq!(drive.states()[2..], [(Cleared, 70)]);
+}
+
+#[test]
+fn learnt_reference_carries_its_uncertainty() {
+    // Learnt 0.9 ± 0.04. m = 0.80: Φ((0.855 − 0.80)/√(0.01² + 0.038²)) = Φ(1.40) = 0.919 < 0.95, although against 0.9
+    // known exactly it would be Φ(5.5).
+    let learning = rule().with_learnt_reference(60.0).unwrap();
+    let mut drive = Drive::new(learning);
+    drive.estimates(0..61, 0.9, 0.04).estimates(61..100, 0.80, SURE);
+    assert_eq!(drive.states(), [(Learns, 0), (Normal, 60)]);
+    let reference = drive.alerts[1].reference.unwrap();
+    assert!((reference.mean() - 0.9).abs() < 1e-12 && (reference.std() - 0.04).abs() < 1e-12);
+    // m = 0.78: Φ(0.075/0.0393) = Φ(1.91) = 0.972.
+    drive.estimates(100..120, 0.78, SURE);
+    assert_eq!(drive.states()[2..], [(Pending, 100), (Raised, 110)]);
+}
+
+#[test]
+fn restart_while_learning_forgets_what_was_learnt() {
+    let mut drive = Drive::new(rule().with_learnt_reference(60.0).unwrap());
+    drive.estimates(0..50, 0.2, 0.01).input(Input::Restart).estimates(50..111, 0.9, 0.01);
+    assert_eq!(drive.states(), [(Learns, 0), (Normal, 110)]);
+    assert!((drive.alerts[1].reference.unwrap().mean() - 0.9).abs() < 1e-12);
+}
+
+#[test]
+fn reference_that_is_too_uncertain_is_learnt_on() {
+    let mut drive = Drive::new(rule().with_learnt_reference(10.0).unwrap());
+    drive.estimates(0..20, 0.9, 0.5);
+    assert_eq!(drive.states(), [(Learns, 0)]);
+    drive.estimates(20..30, 0.9, 0.01);
+    assert_eq!(drive.states()[1..], [(Normal, 20)]);
+}
+
+#[test]
+fn alert_says_what_how_much_how_sure_and_since_when() {
+    let mut drive = Drive::new(rule());
+    // Loss 14.2 % ± 1.1 %: interval 14.2 ∓ 1.96·1.1 = 12.0 to 16.4 %. m = 0.858 against 0.95.
+    drive.estimates(61..72, 0.858, 0.011);
+    assert_eq!(
+        drive.alerts[1].why,
+        "storey-2 has lost 14.2 % of its stiffness (95 % interval 12 to 16.4 %), more than 5 % with probability above \
+         0.999, since 61.00 s"
+    );
+    drive.acknowledge();
+    assert!(
+        drive.alerts[2].why.ends_with("since 61.00 s; acknowledged by Ada: crew is under way"),
+        "{}",
+        drive.alerts[2].why
+    );
+}
+
+#[test]
+fn state_restored_anywhere_goes_on_alike() {
+    let run = |restore_at: Option<i64>| {
+        let mut drive = Drive::new(rule().with_learnt_reference(5.0).unwrap());
+        for second in 0..60 {
+            if restore_at == Some(second) {
+                let bytes = postcard::to_stdvec(&drive.decision).unwrap();
+                drive.decision = postcard::from_bytes(&bytes).unwrap();
+            }
+            let mean = if (20..40).contains(&second) { SOFT } else { SOUND };
+            drive.estimates(second..second + 1, mean, SURE);
+        }
+        drive.alerts
+    };
+    let whole = run(None);
+    assert_eq!(whole.len(), 5); // learning, normal, pending, raised, cleared
+    for second in 0..60 {
+        assert_eq!(run(Some(second)), whole, "restored at {second} s");
+    }
+}

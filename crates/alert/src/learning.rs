@@ -1,0 +1,103 @@
+//! Learns the sound value of a parameter from the estimates of a span of time.
+//!
+//! Notation: m_k, s_k mean and standard deviation of the parameter at frame k; w_k = 1/s_k².
+//!
+//! The frames are weighted by w_k, so that the first ones, which still carry the prior, count little. Successive estimates
+//! of a filter share nearly all their data: they do not average out, and the uncertainty of their mean is that of a single
+//! one. Source of the running sums: D. H. D. West, *Updating mean and variance estimates: an improved method*,
+//! Commun. ACM 22 (1979), 532-535.
+
+use serde::{Deserialize, Serialize};
+
+/// Running sums over the frames of one span.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Learning {
+    frames: u64,
+    weight: f64,
+    mean: f64,
+    squares: f64,
+}
+
+/// Least standard deviation that is believed: keeps the weight of a frame finite.
+const LEAST_STD: f64 = 1e-9;
+
+impl Learning {
+    /// Starts without any frame.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds the mean and the standard deviation of one frame, ratios to nominal.
+    pub fn add(&mut self, mean: f64, std: f64) {
+        let weight = std.max(LEAST_STD).powi(-2);
+        self.frames += 1;
+        self.weight += weight; //                                  W = Σ w
+        let off = mean - self.mean;
+        self.mean += off * weight / self.weight; //                m̄ = Σ w m / W
+        self.squares += weight * off * (mean - self.mean); //      Q = Σ w (m − m̄)²
+    }
+
+    /// What the span has taught: `None` before the first frame.
+    pub fn summary(&self) -> Option<SpanSummary> {
+        (self.frames > 0).then(|| SpanSummary {
+            mean: self.mean,
+            estimate_variance: self.frames as f64 / self.weight,
+            drift_variance: self.squares / self.weight,
+        })
+    }
+}
+
+/// The estimates of one span in three numbers, ratios to nominal and their squares.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct SpanSummary {
+    /// Weighted mean of the means.
+    pub mean: f64,
+    /// Harmonic mean of the variances: what the filter itself does not know.
+    pub estimate_variance: f64,
+    /// Weighted variance of the means: how far the estimate wandered in the span.
+    pub drift_variance: f64,
+}
+
+impl SpanSummary {
+    /// Variance of the sound value as far as this span tells: both parts together.
+    pub fn variance(&self) -> f64 {
+        self.estimate_variance + self.drift_variance
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn summary(frames: &[(f64, f64)]) -> SpanSummary {
+        let mut learning = Learning::new();
+        frames.iter().for_each(|(mean, std)| learning.add(*mean, *std));
+        learning.summary().unwrap()
+    }
+
+    #[test]
+    fn steady_estimate_keeps_the_uncertainty_of_one_frame() {
+        let found = summary(&[(0.9, 0.02); 1000]);
+        assert!((found.mean - 0.9).abs() < 1e-12);
+        assert!((found.variance().sqrt() - 0.02).abs() < 1e-12);
+    }
+
+    #[test]
+    fn wandering_estimate_adds_its_spread() {
+        let found = summary(&[(0.9, 0.02), (1.0, 0.02)]);
+        assert!((found.mean - 0.95).abs() < 1e-12);
+        assert!((found.variance() - (0.02_f64.powi(2) + 0.05_f64.powi(2))).abs() < 1e-12);
+    }
+
+    #[test]
+    fn frames_that_carry_the_prior_count_little() {
+        let mut frames = vec![(1.0, 0.2); 100];
+        frames.extend([(0.8, 0.01); 100]);
+        assert!((summary(&frames).mean - 0.8).abs() < 0.001);
+    }
+
+    #[test]
+    fn nothing_is_learnt_from_nothing() {
+        assert_eq!(Learning::new().summary(), None);
+    }
+}

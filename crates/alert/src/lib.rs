@@ -1,0 +1,60 @@
+//! Decides from estimates when a part of a structure has become softer, and says why.
+//!
+//! Estimates with covariance go in; an alert comes out whenever a parameter changes state.
+//!
+//! ```
+//! use spandrel_alert::{Decision, Input, ParameterEstimate, Rule, Subject};
+//! use spandrel_bus::AlertState;
+//!
+//! let subject = Subject { parameter: 0, name: "storey-2".into(), quantity: "stiffness".into(), prior_std: 0.3 };
+//! let mut decision = Decision::new(0, Rule::new(0.05, 0.95, 0.5, 10.0)?, subject);
+//! let mut alerts = Vec::new();
+//! for second in 0..=10 {
+//!     let estimate = ParameterEstimate { time_ns: second * 1_000_000_000, mean: 0.86, std: 0.01 };
+//!     decision.handle(Input::Estimate(estimate), &mut alerts);
+//! }
+//! assert_eq!(alerts[0].state, AlertState::Pending);
+//! assert_eq!(alerts[1].state, AlertState::Raised);
+//! assert!(alerts[1].why.starts_with("storey-2 has lost 14 % of its stiffness"));
+//! # Ok::<(), spandrel_alert::AlertError>(())
+//! ```
+//!
+//! - [`mod@reference`]: what a loss is counted from
+//! - [`rule`]: what the owner asks for: loss, credibility, sustain time
+//! - [`credibility`]: how sure a loss is
+//! - [`learning`], [`baseline`]: the sound value, learnt from a span of time or from several records
+//! - [`alert`], `wording`: what is said
+//! - [`decision`]: the state machine of one parameter; no clock, no network
+//! - [`watch`]: all parameters of one structure
+//! - [`shell`]: joins it to the bus
+//!
+//! Who only wants the numbers at display rate subscribes to the parameters; nothing here is needed for that.
+
+pub mod error;
+
+pub mod reference;
+pub mod rule;
+
+pub mod credibility;
+pub mod learning;
+
+pub mod baseline;
+
+pub mod alert;
+mod wording;
+
+pub mod decision;
+pub mod watch;
+
+pub mod shell;
+
+pub use alert::{Acknowledged, Alert};
+pub use baseline::{Baseline, RecordSummary};
+pub use credibility::{LossEstimate, ParameterEstimate, loss_estimate, probability_of_loss};
+pub use decision::{Decision, Input, Subject};
+pub use error::AlertError;
+pub use learning::{Learning, SpanSummary};
+pub use reference::Reference;
+pub use rule::{ReferenceRule, Rule};
+pub use shell::AlertService;
+pub use watch::Watch;

@@ -1,0 +1,179 @@
+//! Watches all parameters of one structure: blocks of estimates in, alerts out.
+
+use serde::{Deserialize, Serialize};
+use spandrel_bus::{AlertState, Estimate, EstimateBlock, Phase};
+use spandrel_structure::{AlertRule, Parameter, Structure};
+
+use crate::{
+    Alert, AlertError, Baseline, Decision, Input, ParameterEstimate, Reference, Rule, Subject, alert::Acknowledged,
+};
+
+/// The decisions on one structure; serialises as its checkpoint.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Watch {
+    parameter_count: usize,
+    decisions: Vec<Decision>,
+    /// Epoch of the estimates, and number of the next one.
+    expected: Option<(u64, u64)>,
+}
+
+impl Watch {
+    /// Watches what the alert rules of the structure file ask for.
+    ///
+    /// A rule that would learn its reference takes that of `baseline` where it knows the parameter.
+    ///
+    /// # Errors
+    /// A rule is not consistent with the parameters, a reference cannot be one, or the baseline is that of another
+    /// structure.
+    pub fn new(structure: &Structure, baseline: Option<&Baseline>) -> Result<Self, AlertError> {
+        if let Some(baseline) = baseline.filter(|baseline| baseline.structure() != structure.name()) {
+            return Err(AlertError::BaselineStructure {
+                found: baseline.structure().to_owned(),
+                expected: structure.name().to_owned(),
+            });
+        }
+        let parameters = structure.parameters();
+        let mut decisions = Vec::new();
+        for (number, rule) in structure.alert_rules().iter().enumerate() {
+            for (position, &index) in rule.parameters.iter().enumerate() {
+                let decision = decision_from_structure(number, rule, position, parameters, baseline);
+                decisions.push(decision.map_err(|source| in_parameter(parameters, index, source))?);
+            }
+        }
+        Ok(Self::from_decisions(parameters.len(), decisions))
+    }
+
+    /// Watches by these decisions on a structure of `parameter_count` parameters.
+    pub fn from_decisions(parameter_count: usize, decisions: Vec<Decision>) -> Self {
+        Self { parameter_count, decisions, expected: None }
+    }
+
+    /// Reacts to a block of estimates; appends an alert for each change. Other cuts of the same estimates into blocks give
+    /// the same alerts.
+    ///
+    /// # Errors
+    /// [`AlertError::ParameterCount`] if the block is none of this structure; nothing has changed then.
+    pub fn handle_block(&mut self, block: &EstimateBlock, alerts: &mut Vec<Alert>) -> Result<(), AlertError> {
+        let widths = std::iter::once(usize::from(block.parameters))
+            .chain(block.estimates.iter().map(|estimate| estimate.mean.len()));
+        if let Some(found) = { widths }.find(|width| *width != self.parameter_count) {
+            return Err(AlertError::ParameterCount { found, expected: self.parameter_count });
+        }
+        let Some(grid) = block.grid() else {
+            return Ok(()); // a checked block has a grid
+        };
+        let start = (block.header.epoch, block.header.sequence);
+        match self.expected {
+            Some((epoch, _)) if epoch != start.0 => self.handle_all(&Input::NewSource, alerts),
+            Some(expected) if expected != start => self.handle_all(&Input::Gap, alerts),
+            Some(_) | None => {}
+        }
+        for (number, estimate) in block.iter() {
+            self.handle_estimate(grid.time_ns(number), estimate, alerts);
+        }
+        self.expected = Some((start.0, start.1 + block.estimates.len() as u64));
+        Ok(())
+    }
+
+    /// Reacts to an acknowledgement of the alerts of one parameter; tells whether there was anything to acknowledge.
+    pub fn acknowledge(&mut self, parameter: usize, by: &Acknowledged, alerts: &mut Vec<Alert>) -> bool {
+        let mut is_taken = false;
+        for decision in self.decisions.iter_mut().filter(|decision| decision.subject().parameter == parameter) {
+            is_taken |= decision.handle(Input::Acknowledge(by.clone()), alerts);
+        }
+        is_taken
+    }
+
+    /// The alert that stands for a parameter: the most severe one where several rules watch it; `None` before the first.
+    pub fn standing(&self, parameter: usize) -> Option<&Alert> {
+        let of_parameter = self.decisions.iter().filter(|decision| decision.subject().parameter == parameter);
+        of_parameter
+            .filter_map(Decision::last_alert)
+            .max_by(|a, b| severity(a.state).cmp(&severity(b.state)).then(a.rule_loss.total_cmp(&b.rule_loss)))
+    }
+
+    /// The decisions, by rule and parameter in the order of the structure file.
+    pub fn decisions(&self) -> &[Decision] {
+        &self.decisions
+    }
+
+    fn handle_estimate(&mut self, time_ns: i64, estimate: &Estimate, alerts: &mut Vec<Alert>) {
+        if estimate.flags.restarted {
+            self.handle_all(&Input::Restart, alerts);
+        }
+        if estimate.flags.phase == Phase::Training {
+            return; // not yet to be trusted
+        }
+        for decision in &mut self.decisions {
+            let index = decision.subject().parameter;
+            let (Some(mean), Some(variance)) = (estimate.mean.get(index), estimate.variance(index)) else {
+                continue; // the block was checked: each parameter is there
+            };
+            let std = variance.max(0.0).sqrt();
+            decision.handle(Input::Estimate(ParameterEstimate { time_ns, mean: *mean, std }), alerts);
+        }
+    }
+
+    fn handle_all(&mut self, input: &Input, alerts: &mut Vec<Alert>) {
+        for decision in &mut self.decisions {
+            decision.handle(input.clone(), alerts);
+        }
+    }
+}
+
+/// Order of the states by what they ask of people.
+fn severity(state: AlertState) -> u8 {
+    match state {
+        AlertState::Normal => 0,
+        AlertState::Learning => 1,
+        AlertState::Cleared => 2,
+        AlertState::Pending => 3,
+        AlertState::Acknowledged => 4,
+        AlertState::Raised => 5,
+    }
+}
+
+/// Takes the rule of the structure file for the parameter at `position` of its list.
+fn decision_from_structure(
+    number: usize,
+    rule: &AlertRule,
+    position: usize,
+    parameters: &[Parameter],
+    baseline: Option<&Baseline>,
+) -> Result<Decision, AlertError> {
+    use spandrel_structure::Reference as Asked;
+
+    let index = rule.parameters.get(position).copied().unwrap_or(usize::MAX);
+    let no_such = || AlertError::NoSuchParameter { rule: number + 1, index, count: parameters.len() };
+    let parameter = parameters.get(index).ok_or_else(no_such)?;
+    let own = Rule::new(rule.loss, rule.credibility, rule.clear_credibility, rule.sustain_s)?;
+    let from_baseline = baseline.and_then(|baseline| baseline.reference(parameter.name()));
+    let own = match (&rule.reference, from_baseline) {
+        (Asked::Design, _) => own.with_reference(Reference::DESIGN),
+        (Asked::Baseline { .. }, Some(reference)) => own.with_reference(reference),
+        (Asked::Baseline { learn_s }, None) => own.with_learnt_reference(*learn_s)?,
+        (Asked::Given { mean, std }, _) => {
+            let (mean, std) = mean.get(position).zip(std.get(position)).ok_or_else(no_such)?;
+            own.with_reference(Reference::new(*mean, *std)?)
+        }
+    };
+    let quantity = if parameter.is_stiffness() { "stiffness" } else { "nominal value" };
+    let subject = Subject {
+        parameter: index,
+        name: parameter.name().to_owned(),
+        quantity: quantity.to_owned(),
+        prior_std: parameter.std(),
+    };
+    Ok(Decision::new(number, own, subject))
+}
+
+/// Adds the name of the parameter to what is wrong with its rule.
+fn in_parameter(parameters: &[Parameter], index: usize, source: AlertError) -> AlertError {
+    match parameters.get(index) {
+        Some(parameter) => AlertError::Parameter { parameter: parameter.name().to_owned(), source: Box::new(source) },
+        None => source,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,122 @@
+//! Says in words what an alert is about: what, how much, how sure, since when.
+
+use jiff::Timestamp;
+use spandrel_bus::AlertState;
+
+use crate::{Alert, LossEstimate, Rule, Subject};
+
+/// The decision in words; `alert.why` is not read.
+pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert) -> String {
+    let Subject { name, quantity, .. } = subject;
+    let (Some(loss), Some(reference)) = (&alert.loss, &alert.reference) else {
+        return format!("reference of {name} is being learnt");
+    };
+    let how_much = format!("{} of its {quantity} ({})", percent(loss.loss), interval(loss));
+    let how_sure =
+        format!("more than {} with probability {}", percent(alert.rule_loss), probability(alert.probability_of_loss));
+    let since = alert.since_ns.map(|time_ns| format!(", since {}", time(time_ns))).unwrap_or_default();
+    match alert.state {
+        AlertState::Learning | AlertState::Normal => format!(
+            "{name} is normal against {:.3} ± {:.3}: loss {how_much}, {how_sure}",
+            reference.mean(),
+            reference.std()
+        ),
+        AlertState::Pending => format!(
+            "{name} seems to have lost {how_much}, {how_sure}{since}; is raised after {}",
+            duration(rule.sustain_ns())
+        ),
+        AlertState::Raised => format!("{name} has lost {how_much}, {how_sure}{since}"),
+        AlertState::Acknowledged => {
+            format!("{name} has lost {how_much}, {how_sure}{since}; {}", acknowledged(alert))
+        }
+        AlertState::Cleared => format!(
+            "loss of {name} is no longer credible: loss {how_much}, {how_sure}, below {} for {}",
+            probability(rule.clear_credibility()),
+            duration(rule.sustain_ns())
+        ),
+    }
+}
+
+/// Longest part of a name or note that is repeated in the words, in characters.
+const LONGEST_QUOTE: usize = 400;
+
+fn acknowledged(alert: &Alert) -> String {
+    let Some(acknowledged) = &alert.acknowledgement else {
+        return "acknowledged".to_owned();
+    };
+    let quote = |text: &str| text.chars().take(LONGEST_QUOTE).collect::<String>();
+    if acknowledged.note.is_empty() {
+        return format!("acknowledged by {}", quote(&acknowledged.who));
+    }
+    format!("acknowledged by {}: {}", quote(&acknowledged.who), quote(&acknowledged.note))
+}
+
+/// A share in per cent with one decimal, without one where it is whole: `14.2 %`, `5 %`.
+fn percent(share: f64) -> String {
+    format!("{} %", per_cent(share))
+}
+
+fn per_cent(share: f64) -> String {
+    let text = format!("{:.1}", share * 100.0);
+    match text.strip_suffix(".0") {
+        Some("-0") => "0".to_owned(),
+        Some(whole) => whole.to_owned(),
+        None => text,
+    }
+}
+
+fn interval(loss: &LossEstimate) -> String {
+    format!("95 % interval {} to {} %", per_cent(loss.low), per_cent(loss.high))
+}
+
+/// A probability with three decimals, and never 0 or 1.
+fn probability(value: f64) -> String {
+    const HALF_DIGIT: f64 = 5e-4;
+    if value >= 1.0 - HALF_DIGIT {
+        return "above 0.999".to_owned();
+    }
+    if value < HALF_DIGIT {
+        return "below 0.001".to_owned();
+    }
+    format!("{value:.3}")
+}
+
+fn duration(span_ns: i64) -> String {
+    format!("{} s", span_ns as f64 / 1e9)
+}
+
+/// A time: of a record that starts at 0 in seconds, otherwise by the calendar, UTC.
+fn time(time_ns: i64) -> String {
+    /// Three years: no record from 0 is longer, and no clock is so far behind.
+    const RECORD_NS: i64 = 100_000_000_000_000_000;
+    match Timestamp::from_nanosecond(i128::from(time_ns)) {
+        Ok(calendar) if time_ns.abs() >= RECORD_NS => calendar.strftime("%Y-%m-%d %H:%M:%S UTC").to_string(),
+        _ => format!("{:.2} s", time_ns as f64 / 1e9),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn probabilities_never_read_as_certainty() {
+        assert_eq!(probability(1.0), "above 0.999");
+        assert_eq!(probability(0.998_4), "0.998");
+        assert_eq!(probability(1e-9), "below 0.001");
+    }
+
+    #[test]
+    fn shares_are_whole_where_they_can_be() {
+        assert_eq!(percent(0.05), "5 %");
+        assert_eq!(percent(0.142), "14.2 %");
+        assert_eq!(percent(-0.000_1), "0 %");
+        assert_eq!(percent(-0.021), "-2.1 %");
+    }
+
+    #[test]
+    fn time_of_a_record_is_in_seconds_and_that_of_a_clock_by_the_calendar() {
+        assert_eq!(time(61_200_000_000), "61.20 s");
+        assert_eq!(time(1_709_208_000_000_000_001), "2024-02-29 12:00:00 UTC");
+    }
+}

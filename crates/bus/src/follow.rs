@@ -1,0 +1,377 @@
+//! Brings the blocks of a lossless stream into order, and says what to fetch.
+//!
+//! A pure state machine: blocks and answers go in; what to deliver, what to fetch and what is lost come out. Whatever
+//! is dropped, doubled, reordered or cut into other blocks on the way, every item is delivered exactly once and in
+//! order, or is part of a gap that is delivered in its place.
+
+use std::collections::BTreeMap;
+use std::collections::VecDeque;
+
+use crate::message::{Block, CaughtUp, StreamState};
+use crate::range::QueryRange;
+use crate::ring::Answer;
+
+/// Where to start reading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Start {
+    /// At item 0 of the running epoch; what the source no longer has is a gap.
+    Beginning,
+    /// At the next item that is put.
+    Now,
+    /// At an item, as after a checkpoint; in a later epoch, at its item 0.
+    At {
+        /// The epoch of the checkpoint.
+        epoch: u64,
+        /// Number of the first item wanted.
+        sequence: u64,
+    },
+}
+
+/// Items that can no longer be had.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Gap {
+    /// The epoch.
+    pub epoch: u64,
+    /// Number of the first item lost.
+    pub from: u64,
+    /// Number of the first item after the gap.
+    pub to: u64,
+}
+
+/// What the reader gets, in order.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Delivery<B> {
+    /// Items that follow the delivery before; a higher epoch starts anew at item 0.
+    Block(B),
+    /// Items lost for good.
+    Gap(Gap),
+}
+
+/// What the shell has to do, in order.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Action<B> {
+    /// Hand this to the reader.
+    Deliver(Delivery<B>),
+    /// Ask the source, and report with [`Follower::answered`] or [`Follower::unanswered`]; one at a time.
+    Fetch {
+        /// What to ask for.
+        range: QueryRange,
+        /// How often this has failed in a row: the shell pauses accordingly.
+        failures: u32,
+    },
+}
+
+/// What did not come straight through.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct FollowCounts {
+    /// Items delivered.
+    pub delivered_items: u64,
+    /// Items that came again.
+    pub duplicate_items: u64,
+    /// Items that were fetched from the source.
+    pub fetched_items: u64,
+    /// Items lost for good.
+    pub gap_items: u64,
+    /// Blocks of an epoch that is over.
+    pub stale_blocks: u64,
+    /// Blocks of another source in the same epoch.
+    pub foreign_blocks: u64,
+    /// Blocks ahead of a gap that could not be kept; they are fetched again.
+    pub unkept_blocks: u64,
+}
+
+/// Blocks kept that arrived ahead of a gap; more are fetched again.
+const HELD_BLOCKS: usize = 64;
+/// Fetches without an answer after which missing items are given up.
+const MAX_FAILURES: u32 = 8;
+
+/// The state machine of one stream.
+#[derive(Debug)]
+pub struct Follower<B> {
+    start: Start,
+    limit: u64,
+    position: Option<Position>,
+    held: BTreeMap<u64, B>,
+    fetch: Option<u64>,
+    failures: u32,
+    counts: FollowCounts,
+}
+
+/// How far the running epoch has been delivered, and is known to reach.
+#[derive(Debug)]
+struct Position {
+    epoch: u64,
+    source: Option<String>,
+    next: u64,
+    seen_end: u64,
+    ended: bool,
+}
+
+impl Position {
+    fn new(epoch: u64, source: Option<String>, next: u64) -> Self {
+        Self { epoch, source, next, seen_end: next, ended: false }
+    }
+}
+
+impl<B: Block> Follower<B> {
+    /// A reader that has nothing yet; it fetches at most `limit` items at a time.
+    #[must_use]
+    pub fn new(start: Start, limit: u64) -> Self {
+        let position = match start {
+            Start::At { epoch, sequence } => Some(Position::new(epoch, None, sequence)),
+            Start::Beginning | Start::Now => None,
+        };
+        Self {
+            start,
+            limit,
+            position,
+            held: BTreeMap::new(),
+            fetch: None,
+            failures: 0,
+            counts: FollowCounts::default(),
+        }
+    }
+
+    /// What did not come straight through so far.
+    #[must_use]
+    pub fn counts(&self) -> &FollowCounts {
+        &self.counts
+    }
+
+    /// A block has arrived as it was put.
+    pub fn live(&mut self, block: B, actions: &mut VecDeque<Action<B>>) {
+        if self.enter_epoch(&block, actions) {
+            self.accept(block, actions);
+            self.fetch_if_missing(actions);
+        }
+    }
+
+    /// Nothing has arrived for a while: the last block may have been lost.
+    pub fn idle(&mut self, actions: &mut VecDeque<Action<B>>) {
+        if self.fetch.is_none() {
+            self.request(actions);
+        }
+    }
+
+    /// The source has answered the fetch.
+    pub fn answered(&mut self, answer: Answer<B>, actions: &mut VecDeque<Action<B>>) {
+        match answer {
+            Answer::Block(block) => self.answered_with(block, actions),
+            Answer::CaughtUp(at) => self.answered_caught_up(&at, actions),
+        }
+    }
+
+    /// The fetch has failed: nobody answered in time, or not in a way that could be read.
+    pub fn unanswered(&mut self, actions: &mut VecDeque<Action<B>>) {
+        self.fetch = None;
+        if !self.is_missing() {
+            return; // a poll: the next one will tell
+        }
+        self.failures += 1;
+        if self.failures >= MAX_FAILURES {
+            self.failures = 0;
+            self.give_up(actions);
+        }
+        self.fetch_if_missing(actions);
+    }
+
+    fn answered_with(&mut self, block: B, actions: &mut VecDeque<Action<B>>) {
+        let asked_after = self.fetch;
+        if !self.enter_epoch(&block, actions) {
+            return self.unanswered(actions);
+        }
+        let before = self.counts.delivered_items;
+        self.deliver_up_to(block.header().sequence, actions);
+        let stands_still = |follower: &Self| {
+            let next = follower.position.as_ref().map(|p| p.next);
+            next == asked_after && block.end() <= next.unwrap_or(0) && follower.is_missing()
+        };
+        if stands_still(self) {
+            return self.unanswered(actions);
+        }
+        self.accept(block, actions);
+        let progress = self.counts.delivered_items - before;
+        self.counts.fetched_items += progress;
+        self.fetch = None;
+        self.failures = 0;
+        let ended = self.position.as_ref().is_some_and(|p| p.ended);
+        if progress > 0 && !ended {
+            self.request(actions); // until the source says that this was all
+        } else {
+            self.fetch_if_missing(actions);
+        }
+    }
+
+    fn answered_caught_up(&mut self, at: &CaughtUp, actions: &mut VecDeque<Action<B>>) {
+        let Some(position) = &self.position else {
+            let source = Some(at.header.source.clone());
+            let next = match self.start {
+                Start::Beginning | Start::At { .. } => 0,
+                Start::Now => at.header.sequence,
+            };
+            self.position = Some(Position::new(at.header.epoch, source, next));
+            self.fetch = None;
+            return;
+        };
+        if at.header.epoch < position.epoch {
+            self.counts.stale_blocks += 1;
+            return self.unanswered(actions);
+        }
+        if at.header.epoch > position.epoch {
+            self.change_epoch(at.header.epoch, at.header.source.clone(), actions);
+        }
+        self.see_end(at.header.sequence);
+        if self.is_missing() {
+            return self.unanswered(actions); // it is known to exist, but not to this source: ask again
+        }
+        self.fetch = None;
+        self.failures = 0;
+    }
+
+    /// Takes up the epoch of a block; false if the block is not of this stream.
+    fn enter_epoch(&mut self, block: &B, actions: &mut VecDeque<Action<B>>) -> bool {
+        let header = block.header();
+        let Some(position) = &mut self.position else {
+            let next = match self.start {
+                Start::Beginning | Start::At { .. } => 0,
+                Start::Now => header.sequence,
+            };
+            let source = Some(header.source.clone());
+            self.position = Some(Position::new(header.epoch, source, next));
+            return true;
+        };
+        if header.epoch < position.epoch {
+            self.counts.stale_blocks += 1;
+            return false;
+        }
+        if header.epoch > position.epoch {
+            self.change_epoch(header.epoch, header.source.clone(), actions);
+            return true;
+        }
+        let source = position.source.get_or_insert_with(|| header.source.clone());
+        if *source != header.source {
+            self.counts.foreign_blocks += 1;
+            return false;
+        }
+        true
+    }
+
+    /// The source of the old epoch is gone: what is missing of it cannot be had any more.
+    fn change_epoch(&mut self, epoch: u64, source: String, actions: &mut VecDeque<Action<B>>) {
+        if let Some(seen_end) = self.position.as_ref().map(|p| p.seen_end) {
+            self.deliver_up_to(seen_end, actions);
+        }
+        self.held.clear();
+        self.failures = 0;
+        self.position = Some(Position::new(epoch, Some(source), 0));
+    }
+
+    fn see_end(&mut self, end: u64) {
+        if let Some(position) = &mut self.position {
+            position.seen_end = position.seen_end.max(end);
+        }
+    }
+
+    fn is_missing(&self) -> bool {
+        self.position.as_ref().is_some_and(|p| p.seen_end > p.next)
+    }
+
+    /// Delivers the block if it is next, keeps it if it is ahead.
+    fn accept(&mut self, block: B, actions: &mut VecDeque<Action<B>>) {
+        self.see_end(block.end());
+        let Some(position) = &self.position else {
+            return;
+        };
+        let sequence = block.header().sequence;
+        if sequence <= position.next {
+            self.deliver(block, actions);
+            self.deliver_held(actions);
+            return;
+        }
+        let kept = self.held.get(&sequence).map_or(0, Block::count);
+        if self.held.len() < HELD_BLOCKS && kept <= block.count() {
+            self.held.insert(sequence, block);
+        } else {
+            self.counts.unkept_blocks += 1;
+        }
+    }
+
+    /// Delivers what is new of a block that starts at or before the next item.
+    fn deliver(&mut self, mut block: B, actions: &mut VecDeque<Action<B>>) {
+        let Some(position) = &mut self.position else {
+            return;
+        };
+        let known = position.next.saturating_sub(block.header().sequence);
+        let duplicates = known.min(block.count());
+        self.counts.duplicate_items += duplicates;
+        let ends_now = block.state() == StreamState::Ended && block.end() == position.next && !position.ended;
+        if block.end() <= position.next && !ends_now {
+            return;
+        }
+        block.skip(duplicates);
+        self.counts.delivered_items += block.count();
+        position.next = block.end();
+        position.ended = block.state() == StreamState::Ended;
+        actions.push_back(Action::Deliver(Delivery::Block(block)));
+    }
+
+    fn deliver_held(&mut self, actions: &mut VecDeque<Action<B>>) {
+        while let Some(entry) = self.held.first_entry() {
+            let next = self.position.as_ref().map_or(0, |p| p.next);
+            if *entry.key() > next {
+                return;
+            }
+            let block = entry.remove();
+            self.deliver(block, actions);
+        }
+    }
+
+    /// Delivers what is kept below `end`, with gaps for what is not.
+    fn deliver_up_to(&mut self, end: u64, actions: &mut VecDeque<Action<B>>) {
+        while let Some(position) = &mut self.position {
+            if position.next >= end {
+                return;
+            }
+            let ahead = self.held.first_key_value().map(|(sequence, _)| *sequence);
+            let to = ahead.map_or(end, |sequence| sequence.min(end));
+            if to > position.next {
+                let gap = Gap { epoch: position.epoch, from: position.next, to };
+                self.counts.gap_items += gap.to - gap.from;
+                position.next = to;
+                position.seen_end = position.seen_end.max(to);
+                actions.push_back(Action::Deliver(Delivery::Gap(gap)));
+            }
+            self.deliver_held(actions);
+        }
+    }
+
+    /// The source does not have what is missing: goes on behind it.
+    fn give_up(&mut self, actions: &mut VecDeque<Action<B>>) {
+        let ahead = self.held.first_key_value().map(|(sequence, _)| *sequence);
+        let seen_end = self.position.as_ref().map_or(0, |p| p.seen_end);
+        self.deliver_up_to(ahead.unwrap_or(seen_end), actions);
+        self.deliver_held(actions);
+    }
+
+    fn fetch_if_missing(&mut self, actions: &mut VecDeque<Action<B>>) {
+        if self.fetch.is_none() && self.is_missing() {
+            self.request(actions);
+        }
+    }
+
+    fn request(&mut self, actions: &mut VecDeque<Action<B>>) {
+        let after = match (&self.position, self.start) {
+            (Some(position), _) => position.next,
+            (None, Start::Now) => u64::MAX, // only asks where the stream stands
+            (None, Start::Beginning | Start::At { .. }) => 0,
+        };
+        self.fetch = Some(after);
+        actions.push_back(Action::Fetch {
+            range: QueryRange { after, limit: self.limit, epoch: self.position.as_ref().map(|p| p.epoch) },
+            failures: self.failures,
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,383 @@
+use proptest::collection::vec;
+use proptest::prelude::*;
+
+use super::*;
+use crate::message::{FrameBlock, Header};
+use crate::ring::Ring;
+use crate::testing::frames;
+
+/// A source with its ring, a reader, and what the reader has got.
+struct Rig {
+    ring: Ring<FrameBlock>,
+    follower: Follower<FrameBlock>,
+    actions: VecDeque<Action<FrameBlock>>,
+    fetch: Option<QueryRange>,
+    got: Vec<Delivery<FrameBlock>>,
+}
+
+impl Rig {
+    fn new(start: Start, capacity: u64, limit: u64) -> Self {
+        Self {
+            ring: Ring::new("source".into(), 1, capacity),
+            follower: Follower::new(start, limit),
+            actions: VecDeque::new(),
+            fetch: None,
+            got: Vec::new(),
+        }
+    }
+
+    fn put(&mut self, count: u64) -> FrameBlock {
+        let block = frames(1, self.ring.next(), count);
+        self.ring.push(block.clone()).unwrap();
+        block
+    }
+
+    fn live(&mut self, block: FrameBlock) {
+        self.follower.live(block, &mut self.actions);
+        self.work();
+    }
+
+    fn idle(&mut self) {
+        self.follower.idle(&mut self.actions);
+        self.work();
+    }
+
+    fn work(&mut self) {
+        while let Some(action) = self.actions.pop_front() {
+            match action {
+                Action::Deliver(delivery) => self.got.push(delivery),
+                Action::Fetch { range, .. } => {
+                    assert!(self.fetch.is_none(), "two fetches at a time");
+                    self.fetch = Some(range);
+                }
+            }
+        }
+    }
+
+    fn answer(&mut self) {
+        if let Some(range) = self.fetch.take() {
+            let answer = self.ring.answer(&range);
+            self.follower.answered(answer, &mut self.actions);
+            self.work();
+        }
+    }
+
+    fn fail(&mut self) {
+        if self.fetch.take().is_some() {
+            self.follower.unanswered(&mut self.actions);
+            self.work();
+        }
+    }
+
+    fn settle(&mut self) {
+        self.idle();
+        for _ in 0..10_000 {
+            if self.fetch.is_none() {
+                return;
+            }
+            self.answer();
+        }
+        panic!("the reader never stops fetching");
+    }
+
+    /// The numbers delivered; `None` for a number lost. Checks order and completeness on the way.
+    fn items(&self) -> Vec<Option<u64>> {
+        let mut items = Vec::new();
+        let mut next = None;
+        for delivery in &self.got {
+            let (from, to) = match delivery {
+                Delivery::Block(block) => {
+                    let values = block.values.iter().map(|v| Some(*v as u64));
+                    items.extend(values);
+                    (block.header.sequence, block.end())
+                }
+                Delivery::Gap(gap) => {
+                    items.extend((gap.from..gap.to).map(|_| None));
+                    (gap.from, gap.to)
+                }
+            };
+            assert_eq!(from, next.unwrap_or(from), "out of order");
+            next = Some(to);
+        }
+        items
+    }
+}
+
+fn all(numbers: std::ops::Range<u64>) -> Vec<Option<u64>> {
+    numbers.map(Some).collect()
+}
+
+#[test]
+fn blocks_in_order_are_delivered_at_once_and_nothing_is_fetched() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    for _ in 0..3 {
+        let block = rig.put(2);
+        rig.live(block);
+    }
+    assert_eq!(rig.items(), all(0..6));
+    assert_eq!(rig.fetch, None);
+}
+
+#[test]
+fn a_lost_block_is_fetched_and_what_came_after_it_is_kept() {
+    let mut rig = Rig::new(Start::Beginning, 100, 2);
+    let first = rig.put(2);
+    rig.put(2);
+    let third = rig.put(2);
+    rig.live(first);
+    rig.live(third);
+    assert_eq!(rig.fetch.map(|range| range.after), Some(2));
+    rig.answer();
+    assert_eq!(rig.items(), all(0..6));
+    assert_eq!(rig.follower.counts().fetched_items, 4);
+}
+
+#[test]
+fn a_block_that_came_twice_is_delivered_once() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    let block = rig.put(3);
+    rig.live(block.clone());
+    rig.live(block);
+    assert_eq!(rig.items(), all(0..3));
+    assert_eq!(rig.follower.counts().duplicate_items, 3);
+}
+
+#[test]
+fn a_late_reader_gets_everything_from_the_beginning() {
+    let mut rig = Rig::new(Start::Beginning, 100, 3);
+    rig.put(5);
+    rig.put(5);
+    rig.settle();
+    assert_eq!(rig.items(), all(0..10));
+}
+
+#[test]
+fn a_reader_from_now_gets_only_what_comes() {
+    let mut rig = Rig::new(Start::Now, 100, 3);
+    rig.put(5);
+    rig.settle();
+    rig.put(2); // lost
+    rig.settle();
+    assert_eq!(rig.items(), all(5..7));
+}
+
+#[test]
+fn a_reader_goes_on_where_its_checkpoint_was() {
+    let start = Start::At { epoch: 1, sequence: 4 };
+    let mut rig = Rig::new(start, 100, 3);
+    rig.put(6);
+    rig.settle();
+    assert_eq!(rig.items(), all(4..6));
+}
+
+#[test]
+fn a_checkpoint_of_an_older_epoch_starts_the_new_one_from_its_beginning() {
+    let start = Start::At { epoch: 0, sequence: 4 };
+    let mut rig = Rig::new(start, 100, 9);
+    rig.put(6);
+    rig.settle();
+    assert_eq!(rig.items(), all(0..6));
+}
+
+#[test]
+fn a_lost_last_block_is_found_when_idle() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    let first = rig.put(1);
+    rig.live(first);
+    rig.put(1);
+    rig.settle();
+    assert_eq!(rig.items(), all(0..2));
+}
+
+#[test]
+fn a_lost_end_without_items_is_found_when_idle() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    let first = rig.put(1);
+    rig.live(first);
+    let mut end = frames(1, 1, 0);
+    end.state = StreamState::Ended;
+    rig.ring.push(end).unwrap();
+    rig.settle();
+    rig.settle();
+    let ends = rig.got.iter().filter(|delivery| match delivery {
+        Delivery::Block(block) => block.state == StreamState::Ended,
+        Delivery::Gap(_) => false,
+    });
+    assert_eq!(ends.count(), 1);
+}
+
+#[test]
+fn what_the_source_has_forgotten_is_an_explicit_gap() {
+    let mut rig = Rig::new(Start::Beginning, 2, 10);
+    rig.put(2);
+    rig.put(2);
+    rig.settle();
+    assert_eq!(rig.got[0], Delivery::Gap(Gap { epoch: 1, from: 0, to: 2 }));
+    assert_eq!(rig.items().split_off(2), all(2..4));
+}
+
+#[test]
+fn a_source_that_is_gone_leaves_an_explicit_gap_after_a_few_tries() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    let first = rig.put(1);
+    rig.put(1);
+    let third = rig.put(1);
+    rig.live(first);
+    rig.live(third);
+    for _ in 0..MAX_FAILURES {
+        rig.fail();
+    }
+    assert_eq!(rig.items(), [Some(0), None, Some(2)]);
+    assert_eq!(rig.fetch, None);
+}
+
+#[test]
+fn a_stale_epoch_is_dropped_and_counted() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.live(frames(2, 0, 1));
+    rig.live(frames(1, 1, 1));
+    assert_eq!(rig.items(), all(0..1));
+    assert_eq!(rig.follower.counts().stale_blocks, 1);
+}
+
+#[test]
+fn another_source_in_the_same_epoch_is_dropped_and_counted() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.live(frames(1, 0, 1));
+    let mut other = frames(1, 1, 1);
+    other.header.source = "other".into();
+    rig.live(other);
+    assert_eq!(rig.items(), all(0..1));
+    assert_eq!(rig.follower.counts().foreign_blocks, 1);
+}
+
+#[test]
+fn a_new_epoch_ends_the_wait_for_the_old_one() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.live(frames(1, 0, 1));
+    rig.live(frames(1, 2, 1));
+    rig.live(frames(2, 0, 1));
+    let gap = Gap { epoch: 1, from: 1, to: 2 };
+    let expected = [
+        Delivery::Block(frames(1, 0, 1)),
+        Delivery::Gap(gap),
+        Delivery::Block(frames(1, 2, 1)),
+        Delivery::Block(frames(2, 0, 1)),
+    ];
+    assert_eq!(rig.got, expected);
+}
+
+#[test]
+fn an_answer_of_the_old_epoch_does_not_disturb_the_new_one() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.live(frames(1, 0, 1));
+    rig.live(frames(1, 2, 1));
+    rig.live(frames(2, 0, 1));
+    rig.fetch = None;
+    let late = Answer::Block(frames(1, 1, 1));
+    rig.follower.answered(late, &mut rig.actions);
+    rig.work();
+    rig.live(frames(2, 1, 1));
+    assert_eq!(rig.got.len(), 5);
+    assert_eq!(rig.got[4], Delivery::Block(frames(2, 1, 1)));
+}
+
+#[test]
+fn a_source_without_what_it_has_put_is_asked_a_limited_number_of_times() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.live(frames(1, 5, 1)); // never in the ring
+    for _ in 0..2 * MAX_FAILURES {
+        let at = CaughtUp {
+            header: Header { source: "source".into(), epoch: 1, sequence: 0, time_ns: 0 },
+            state: StreamState::Running,
+        };
+        if rig.fetch.take().is_some() {
+            rig.follower.answered(Answer::CaughtUp(at), &mut rig.actions);
+            rig.work();
+        }
+    }
+    assert_eq!(rig.items(), [None, None, None, None, None, Some(5)]);
+    assert_eq!(rig.fetch, None);
+}
+
+#[derive(Clone, Debug)]
+enum Step {
+    Arrives(u64),
+    Lost(u64),
+    Doubled(u64),
+    Overtaken(u64),
+    Answer,
+    Fail,
+    Idle,
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    prop_oneof![
+        4 => (1u64..6).prop_map(Step::Arrives),
+        3 => (1u64..6).prop_map(Step::Lost),
+        1 => (1u64..6).prop_map(Step::Doubled),
+        1 => (1u64..6).prop_map(Step::Overtaken),
+        4 => Just(Step::Answer),
+        1 => Just(Step::Fail),
+        1 => Just(Step::Idle),
+    ]
+}
+
+fn run(rig: &mut Rig, steps: &[Step]) {
+    let mut overtaken = None;
+    let mut failures = 0;
+    for step in steps {
+        match *step {
+            Step::Arrives(count) => {
+                let block = rig.put(count);
+                rig.live(block);
+                if let Some(block) = overtaken.take() {
+                    rig.live(block);
+                }
+            }
+            Step::Lost(count) => drop(rig.put(count)),
+            Step::Doubled(count) => {
+                let block = rig.put(count);
+                rig.live(block.clone());
+                rig.live(block);
+            }
+            Step::Overtaken(count) => overtaken = Some(rig.put(count)),
+            Step::Answer => rig.answer(),
+            Step::Fail if failures < 5 => {
+                failures += 1;
+                rig.fail();
+            }
+            Step::Fail => {}
+            Step::Idle => rig.idle(),
+        }
+    }
+    rig.settle();
+    rig.settle();
+}
+
+proptest! {
+    #[test]
+    fn every_item_is_delivered_once_and_in_order_whatever_is_dropped(
+        steps in vec(step(), 0..120),
+        limit in 1u64..20,
+    ) {
+        let mut rig = Rig::new(Start::Beginning, 10_000, limit);
+        run(&mut rig, &steps);
+        prop_assert_eq!(rig.items(), all(0..rig.ring.next()));
+    }
+
+    #[test]
+    fn what_is_not_delivered_is_in_a_gap(
+        steps in vec(step(), 0..120),
+        limit in 1u64..20,
+        capacity in 1u64..20,
+    ) {
+        let mut rig = Rig::new(Start::Beginning, capacity, limit);
+        run(&mut rig, &steps);
+        let items = rig.items();
+        prop_assert_eq!(items.len() as u64, rig.ring.next());
+        for (number, item) in items.into_iter().enumerate() {
+            prop_assert!(item.is_none_or(|found| found == number as u64));
+        }
+    }
+}

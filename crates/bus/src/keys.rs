@@ -1,0 +1,396 @@
+//! Every key expression that Spandrel uses, built and parsed here and nowhere else.
+
+use crate::name::{Name, NameError};
+
+/// Root of all key expressions unless configured.
+pub const DEFAULT_ROOT: &str = "spandrel";
+
+/// The key expressions of one structure.
+///
+/// ```
+/// use spandrel_bus::{Keys, Name};
+/// let keys = Keys::new("spandrel".parse()?, "tower".parse()?);
+/// assert_eq!(keys.samples(&"roof".parse()?), "spandrel/tower/sensor/roof/samples");
+/// # Ok::<(), spandrel_bus::NameError>(())
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Keys {
+    root: Name,
+    structure: Name,
+}
+
+impl Keys {
+    /// Key expressions below `{root}/{structure}`.
+    #[must_use]
+    pub fn new(root: Name, structure: Name) -> Self {
+        Self { root, structure }
+    }
+
+    /// As [`Keys::new`], from unchecked texts.
+    ///
+    /// # Errors
+    /// A text that is no [`Name`].
+    pub fn parse(root: &str, structure: &str) -> Result<Self, NameError> {
+        Ok(Self::new(Name::new(root)?, Name::new(structure)?))
+    }
+
+    /// The root.
+    #[must_use]
+    pub fn root(&self) -> &Name {
+        &self.root
+    }
+
+    /// The structure.
+    #[must_use]
+    pub fn structure(&self) -> &Name {
+        &self.structure
+    }
+
+    fn below(&self, rest: &str) -> String {
+        format!("{}/{}/{rest}", self.root, self.structure)
+    }
+
+    /// Sample blocks of one node.
+    #[must_use]
+    pub fn samples(&self, node: &Name) -> String {
+        self.below(&format!("sensor/{node}/samples"))
+    }
+
+    /// Queries for the latest sample blocks of one node, answered by the node.
+    #[must_use]
+    pub fn buffer(&self, node: &Name) -> String {
+        self.below(&format!("sensor/{node}/@buffer"))
+    }
+
+    /// Frame blocks.
+    #[must_use]
+    pub fn frames(&self) -> String {
+        self.below("frames")
+    }
+
+    /// Queries for frame blocks, answered by ingest.
+    #[must_use]
+    pub fn recording(&self) -> String {
+        self.below("@recording")
+    }
+
+    /// Estimate blocks.
+    #[must_use]
+    pub fn estimates(&self) -> String {
+        self.below("estimates")
+    }
+
+    /// Queries for the latest estimate blocks, answered by identify.
+    #[must_use]
+    pub fn estimates_buffer(&self) -> String {
+        self.below("@estimates")
+    }
+
+    /// One parameter at display rate.
+    #[must_use]
+    pub fn parameter(&self, parameter: &Name) -> String {
+        self.below(&format!("parameter/{parameter}"))
+    }
+
+    /// All parameters at display rate.
+    #[must_use]
+    pub fn all_parameters(&self) -> String {
+        self.below("parameter/*")
+    }
+
+    /// One noise parameter at display rate.
+    #[must_use]
+    pub fn noise(&self, name: &Name) -> String {
+        self.below(&format!("noise/{name}"))
+    }
+
+    /// All noise parameters at display rate.
+    #[must_use]
+    pub fn all_noise(&self) -> String {
+        self.below("noise/*")
+    }
+
+    /// Plausibility of the model classes.
+    #[must_use]
+    pub fn model_class(&self) -> String {
+        self.below("model-class")
+    }
+
+    /// Compressed local estimate of one node.
+    #[must_use]
+    pub fn local(&self, node: &Name) -> String {
+        self.below(&format!("local/{node}"))
+    }
+
+    /// Feedback of the station to one node.
+    #[must_use]
+    pub fn feedback(&self, node: &Name) -> String {
+        self.below(&format!("feedback/{node}"))
+    }
+
+    /// Outliers of one channel.
+    #[must_use]
+    pub fn outlier(&self, channel: &Name) -> String {
+        self.below(&format!("outlier/{channel}"))
+    }
+
+    /// Events: restarts, calibrations, exclusions.
+    #[must_use]
+    pub fn event(&self) -> String {
+        self.below("event")
+    }
+
+    /// The alert of one parameter.
+    #[must_use]
+    pub fn alert(&self, parameter: &Name) -> String {
+        self.below(&format!("alert/{parameter}"))
+    }
+
+    /// The alerts of all parameters (not their acknowledgements).
+    #[must_use]
+    pub fn all_alerts(&self) -> String {
+        self.below("alert/*")
+    }
+
+    /// Acknowledgement of the alert of one parameter.
+    #[must_use]
+    pub fn acknowledge(&self, parameter: &Name) -> String {
+        self.below(&format!("alert/{parameter}/acknowledge"))
+    }
+
+    /// Acknowledgements of all alerts.
+    #[must_use]
+    pub fn all_acknowledgements(&self) -> String {
+        self.below("alert/*/acknowledge")
+    }
+
+    /// What one service has done.
+    #[must_use]
+    pub fn progress(&self, service: Service) -> String {
+        self.below(&format!("progress/{}", service.as_str()))
+    }
+
+    /// Status of one instance of a service.
+    #[must_use]
+    pub fn status(&self, service: Service, id: &Name) -> String {
+        self.below(&format!("status/{}/{id}", service.as_str()))
+    }
+
+    /// Status of all instances of all services.
+    #[must_use]
+    pub fn all_statuses(&self) -> String {
+        self.below("status/*/*")
+    }
+
+    /// Liveliness token of one instance of a service; of a sensor, `id` is the node.
+    #[must_use]
+    pub fn live(&self, service: Service, id: &Name) -> String {
+        self.below(&format!("live/{}/{id}", service.as_str()))
+    }
+
+    /// Liveliness tokens of all instances of a service.
+    #[must_use]
+    pub fn all_live(&self, service: Service) -> String {
+        self.below(&format!("live/{}/*", service.as_str()))
+    }
+
+    /// Queries for the structure file as read.
+    #[must_use]
+    pub fn description(&self) -> String {
+        self.below("description")
+    }
+
+    /// Queries for the history of one parameter.
+    #[must_use]
+    pub fn history(&self, parameter: &Name) -> String {
+        self.below(&format!("history/{parameter}"))
+    }
+}
+
+/// The services, as they stand in key expressions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Service {
+    /// A sensor node, real, simulated or replayed.
+    Sensor,
+    /// The sensor-ingest service.
+    Ingest,
+    /// The identification worker.
+    Identify,
+    /// The central station.
+    Fuse,
+    /// The alert service.
+    Alert,
+    /// The history service.
+    History,
+    /// The dashboard.
+    Dashboard,
+}
+
+impl Service {
+    /// All services.
+    pub const ALL: [Self; 7] =
+        [Self::Sensor, Self::Ingest, Self::Identify, Self::Fuse, Self::Alert, Self::History, Self::Dashboard];
+
+    /// The name of the service in a key expression.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Sensor => "sensor",
+            Self::Ingest => "ingest",
+            Self::Identify => "identify",
+            Self::Fuse => "fuse",
+            Self::Alert => "alert",
+            Self::History => "history",
+            Self::Dashboard => "dashboard",
+        }
+    }
+
+    fn from_chunk(chunk: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|s| s.as_str() == chunk)
+    }
+}
+
+/// What a concrete key says, the inverse of the methods of [`Keys`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Topic {
+    /// [`Keys::samples`]
+    Samples(Name),
+    /// [`Keys::frames`]
+    Frames,
+    /// [`Keys::estimates`]
+    Estimates,
+    /// [`Keys::parameter`]
+    Parameter(Name),
+    /// [`Keys::noise`]
+    Noise(Name),
+    /// [`Keys::model_class`]
+    ModelClass,
+    /// [`Keys::local`]
+    Local(Name),
+    /// [`Keys::feedback`]
+    Feedback(Name),
+    /// [`Keys::outlier`]
+    Outlier(Name),
+    /// [`Keys::event`]
+    Event,
+    /// [`Keys::alert`]
+    Alert(Name),
+    /// [`Keys::acknowledge`]
+    Acknowledge(Name),
+    /// [`Keys::progress`]
+    Progress(Service),
+    /// [`Keys::status`]
+    Status(Service, Name),
+    /// [`Keys::live`]
+    Live(Service, Name),
+    /// [`Keys::description`]
+    Description,
+    /// [`Keys::history`]
+    History(Name),
+}
+
+/// A key of some structure, taken apart; `None` if it is none of ours or belongs to another root.
+///
+/// ```
+/// use spandrel_bus::{Topic, parse_key};
+/// let (structure, topic) = parse_key(&"spandrel".parse()?, "spandrel/tower/frames").unwrap();
+/// assert_eq!((structure.as_str(), topic), ("tower", Topic::Frames));
+/// # Ok::<(), spandrel_bus::NameError>(())
+/// ```
+#[must_use]
+pub fn parse_key(root: &Name, key: &str) -> Option<(Name, Topic)> {
+    let rest = key.strip_prefix(root.as_str())?.strip_prefix('/')?;
+    let (structure, rest) = rest.split_once('/')?;
+    let structure = Name::new(structure).ok()?;
+    let name = |chunk: &str| Name::new(chunk).ok();
+    let chunks: Vec<&str> = rest.split('/').collect();
+    let topic = match chunks.as_slice() {
+        ["sensor", node, "samples"] => Topic::Samples(name(node)?),
+        ["frames"] => Topic::Frames,
+        ["estimates"] => Topic::Estimates,
+        ["parameter", parameter] => Topic::Parameter(name(parameter)?),
+        ["noise", noise] => Topic::Noise(name(noise)?),
+        ["model-class"] => Topic::ModelClass,
+        ["local", node] => Topic::Local(name(node)?),
+        ["feedback", node] => Topic::Feedback(name(node)?),
+        ["outlier", channel] => Topic::Outlier(name(channel)?),
+        ["event"] => Topic::Event,
+        ["alert", parameter] => Topic::Alert(name(parameter)?),
+        ["alert", parameter, "acknowledge"] => Topic::Acknowledge(name(parameter)?),
+        ["progress", service] => Topic::Progress(Service::from_chunk(service)?),
+        ["status", service, id] => Topic::Status(Service::from_chunk(service)?, name(id)?),
+        ["live", service, id] => Topic::Live(Service::from_chunk(service)?, name(id)?),
+        ["description"] => Topic::Description,
+        ["history", parameter] => Topic::History(name(parameter)?),
+        _ => return None,
+    };
+    Some((structure, topic))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keys() -> Keys {
+        Keys::parse("spandrel", "tower").unwrap()
+    }
+
+    #[test]
+    fn keys_are_those_of_the_design_table() {
+        let (keys, n) = (keys(), Name::new("storey-1").unwrap());
+        let expected = [
+            (keys.samples(&n), "spandrel/tower/sensor/storey-1/samples"),
+            (keys.frames(), "spandrel/tower/frames"),
+            (keys.estimates(), "spandrel/tower/estimates"),
+            (keys.parameter(&n), "spandrel/tower/parameter/storey-1"),
+            (keys.alert(&n), "spandrel/tower/alert/storey-1"),
+            (keys.acknowledge(&n), "spandrel/tower/alert/storey-1/acknowledge"),
+            (keys.progress(Service::Identify), "spandrel/tower/progress/identify"),
+            (keys.live(Service::Ingest, &n), "spandrel/tower/live/ingest/storey-1"),
+            (keys.recording(), "spandrel/tower/@recording"),
+            (keys.buffer(&n), "spandrel/tower/sensor/storey-1/@buffer"),
+            (keys.estimates_buffer(), "spandrel/tower/@estimates"),
+        ];
+        for (found, expected) in expected {
+            assert_eq!(found, expected);
+        }
+    }
+
+    #[test]
+    fn what_is_built_is_parsed_back() {
+        let (keys, n) = (keys(), Name::new("n-1").unwrap());
+        let cases = [
+            (keys.samples(&n), Topic::Samples(n.clone())),
+            (keys.frames(), Topic::Frames),
+            (keys.estimates(), Topic::Estimates),
+            (keys.parameter(&n), Topic::Parameter(n.clone())),
+            (keys.noise(&n), Topic::Noise(n.clone())),
+            (keys.model_class(), Topic::ModelClass),
+            (keys.local(&n), Topic::Local(n.clone())),
+            (keys.feedback(&n), Topic::Feedback(n.clone())),
+            (keys.outlier(&n), Topic::Outlier(n.clone())),
+            (keys.event(), Topic::Event),
+            (keys.alert(&n), Topic::Alert(n.clone())),
+            (keys.acknowledge(&n), Topic::Acknowledge(n.clone())),
+            (keys.progress(Service::Alert), Topic::Progress(Service::Alert)),
+            (keys.status(Service::Fuse, &n), Topic::Status(Service::Fuse, n.clone())),
+            (keys.live(Service::Sensor, &n), Topic::Live(Service::Sensor, n.clone())),
+            (keys.description(), Topic::Description),
+            (keys.history(&n), Topic::History(n.clone())),
+        ];
+        for (key, topic) in cases {
+            let parsed = parse_key(keys.root(), &key);
+            assert_eq!(parsed, Some((keys.structure().clone(), topic)), "{key}");
+        }
+    }
+
+    #[test]
+    fn foreign_keys_are_not_ours() {
+        let root = Name::new("spandrel").unwrap();
+        for key in ["spandrel", "spandrel/tower", "other/tower/frames", ""] {
+            assert_eq!(parse_key(&root, key), None, "{key}");
+        }
+        assert_eq!(parse_key(&root, "spandrelx/tower/frames"), None);
+        assert_eq!(parse_key(&root, "spandrel/tower/progress/nobody"), None);
+    }
+}

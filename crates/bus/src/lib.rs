@@ -1,0 +1,72 @@
+//! What the services say to each other over Zenoh.
+//!
+//! Messages go in and come out, typed, checked, numbered and complete: the key expressions, the encodings and the
+//! recovery of lost blocks live here and nowhere else.
+//!
+//! ```
+//! use spandrel_bus::{Block, FrameBlock, Header, Keys, Message, StreamState};
+//!
+//! let keys = Keys::parse("spandrel", "tower")?;
+//! let block = FrameBlock {
+//!     header: Header { source: "ingest-1".into(), epoch: 1, sequence: 0, time_ns: 0 },
+//!     t0_ns: 0,
+//!     sampling_rate_hz: 200.0,
+//!     channels: 2,
+//!     values: vec![0.1, 0.2, f64::NAN, 0.3], // two frames; one value is missing
+//!     state: StreamState::Running,
+//! };
+//! let payload = block.encode()?;
+//! let received = FrameBlock::decode("application/postcard;spandrel.frames.v1", &payload)?;
+//! assert_eq!((keys.frames().as_str(), received.count()), ("spandrel/tower/frames", 2));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! - [`Name`], [`Keys`]: what things are called, and the key expression of everything
+//! - [`Message`], [`Block`]: encoding and checks; numbered blocks of a lossless stream
+//! - [`Ring`], [`Follower`]: keep the latest items of a stream; bring a stream into order (pure, no network)
+//! - [`Bus`]: the session, and what is declared on it: [`NumberedPublisher`] and [`Stream`] for what must be complete,
+//!   [`DisplayPublisher`] and [`Subscription`] for what people look at, [`LiveToken`] and [`LiveWatch`] for who is
+//!   there, [`ProgressPublisher`] and [`ProgressWatch`] for how far a service has come
+//!
+//! The wrong room for a recording on disk, and for anything that decides: here nothing knows what the numbers mean.
+
+mod name;
+
+mod grid;
+mod keys;
+mod message;
+mod range;
+
+mod follow;
+mod ring;
+
+mod error;
+mod live;
+mod progress;
+mod publish;
+mod session;
+mod stream;
+mod subscribe;
+
+#[cfg(test)]
+mod testing;
+
+pub use error::{BusError, ZenohError};
+pub use follow::{Action, Delivery, FollowCounts, Follower, Gap, Start};
+pub use grid::{MAX_RATE_HZ, MIN_RATE_HZ, TimeGrid};
+pub use keys::{DEFAULT_ROOT, Keys, Service, Topic, parse_key};
+pub use live::{LiveToken, LiveWatch};
+pub use message::{
+    Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, CredibleInterval, DecodeError, Description,
+    EncodeError, Estimate, EstimateBlock, EstimateFlags, Event, EventKind, Format, FrameBlock, Header, MAX_CHANNELS,
+    MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, Message, NodeState, NoiseDisplay, ParameterDisplay,
+    Phase, Progress, SampleBlock, Status, StreamState,
+};
+pub use name::{MAX_NAME_BYTES, Name, NameError};
+pub use progress::{ProgressPublisher, ProgressWatch};
+pub use publish::{DisplayPublisher, LatestPublisher, NumberedPublisher, NumberedStream};
+pub use range::{QueryRange, RangeError};
+pub use ring::{Answer, NotConsecutive, Ring};
+pub use session::{Bus, BusConfig, DEFAULT_ENDPOINT, Mode};
+pub use stream::{Stream, StreamCounts, StreamSettings};
+pub use subscribe::Subscription;

@@ -1,0 +1,109 @@
+//! Liveliness: who is there.
+
+use std::collections::BTreeSet;
+
+use tokio::sync::watch;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::Subscriber;
+use zenoh::sample::{Sample, SampleKind};
+
+use crate::error::BusError;
+use crate::session::Bus;
+
+/// Says that a service or node is there, until this is dropped, its process ends or its link is lost.
+#[derive(Debug)]
+pub struct LiveToken {
+    token: LivelinessToken,
+}
+
+impl LiveToken {
+    /// Takes the token back, and returns once that is on its way.
+    ///
+    /// # Errors
+    /// The session is closed already.
+    pub async fn withdraw(self) -> Result<(), BusError> {
+        let undeclared = self.token.undeclare().await;
+        undeclared.map_err(|source| BusError::Close { source })
+    }
+}
+
+/// The tokens that match a key expression, as they come and go.
+#[derive(Debug)]
+pub struct LiveWatch {
+    present: watch::Receiver<BTreeSet<String>>,
+    _subscriber: Subscriber<()>,
+}
+
+impl Bus {
+    /// Announces a service or node under its `live` key; to be done when it is ready, and not before.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key, or the session is closed.
+    pub async fn announce(&self, key: String) -> Result<LiveToken, BusError> {
+        let declared = self.session().liveliness().declare_token(key.clone()).await;
+        match declared {
+            Ok(token) => Ok(LiveToken { token }),
+            Err(source) => Err(BusError::Declare { key, source }),
+        }
+    }
+
+    /// Watches the tokens that match a `live` key expression, those already there included.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key expression, or the session is closed.
+    pub async fn watch_live(&self, key_expression: String) -> Result<LiveWatch, BusError> {
+        let (changes, present) = watch::channel(BTreeSet::new());
+        let declared = self
+            .session()
+            .liveliness()
+            .declare_subscriber(key_expression.clone())
+            .history(true)
+            .callback(move |sample: Sample| {
+                let key = sample.key_expr().to_string();
+                changes.send_modify(|present| {
+                    match sample.kind() {
+                        SampleKind::Put => present.insert(key),
+                        SampleKind::Delete => present.remove(&key),
+                    };
+                });
+            })
+            .await;
+        match declared {
+            Ok(subscriber) => Ok(LiveWatch { present, _subscriber: subscriber }),
+            Err(source) => Err(BusError::Declare { key: key_expression, source }),
+        }
+    }
+}
+
+impl LiveWatch {
+    /// The keys of the tokens that are there now.
+    #[must_use]
+    pub fn present(&self) -> BTreeSet<String> {
+        self.present.borrow().clone()
+    }
+
+    /// Waits until a token comes or goes, then returns those that are there.
+    ///
+    /// A token that comes and goes between two calls may not be seen.
+    pub async fn changed(&mut self) -> BTreeSet<String> {
+        let closed = self.present.changed().await.is_err();
+        if closed {
+            std::future::pending().await // nothing changes any more
+        }
+        self.present.borrow_and_update().clone()
+    }
+
+    /// Waits until at least one token is there.
+    pub async fn some(&mut self) {
+        let closed = self.present.wait_for(|present| !present.is_empty()).await.is_err();
+        if closed {
+            std::future::pending().await
+        }
+    }
+
+    /// Waits until no token is there.
+    pub async fn none(&mut self) {
+        // A closed session has no tokens either.
+        let _ = self.present.wait_for(BTreeSet::is_empty).await;
+    }
+}

@@ -1,0 +1,28 @@
+//! The structure file as read.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Format, MAX_MESSAGE_BYTES, Malformed, Message};
+use crate::name::Name;
+
+/// Answer to a query for the description of a structure.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Description {
+    /// The structure.
+    pub structure: Name,
+    /// The structure file (TOML).
+    pub text: String,
+}
+
+impl Message for Description {
+    const TYPE: &'static str = "description";
+    const VERSION: u16 = 1;
+    const FORMAT: Format = Format::Json;
+
+    fn check(&self) -> Result<(), Malformed> {
+        if self.text.len() <= MAX_MESSAGE_BYTES {
+            return Ok(());
+        }
+        Err(Malformed::Text { what: "text", found: self.text.len(), most: MAX_MESSAGE_BYTES })
+    }
+}

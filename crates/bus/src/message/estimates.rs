@@ -1,0 +1,197 @@
+//! Estimates: everything identified, per frame.
+
+use serde::{Deserialize, Serialize};
+
+use super::block::continues;
+use super::{
+    Block, Format, Header, MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, Malformed, Message, StreamState, check_count,
+    check_finite, check_finite_or_missing,
+};
+use crate::grid::TimeGrid;
+
+/// Whether the filter still learns the noise or already works.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Phase {
+    /// The first frames: the estimate is not yet to be trusted.
+    Training,
+    /// Normal work.
+    Working,
+}
+
+/// What was special about one frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EstimateFlags {
+    /// Training or working.
+    pub phase: Phase,
+    /// The filter was restarted from its prior at this frame.
+    pub restarted: bool,
+    /// No channel could be used: the estimate is the prediction.
+    pub prediction_only: bool,
+}
+
+/// What is identified at one frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// Means of the parameters, in state order, ratios to nominal.
+    pub mean: Vec<f64>,
+    /// Their covariance: upper triangle by columns, p(p+1)/2 values.
+    pub covariance: Vec<f64>,
+    /// Means of the noise parameters.
+    pub noise_mean: Vec<f64>,
+    /// Variances of the noise parameters.
+    pub noise_covariance: Vec<f64>,
+    /// Innovation per observation row, units of the channels, NaN = missing or screened out.
+    pub innovations: Vec<f64>,
+    /// νᵀS⁻¹ν over the channels used.
+    pub normalised_innovation_squared: f64,
+    /// Logarithm of the evidence of this frame.
+    pub log_evidence: f64,
+    /// Number of observation rows used in the update.
+    pub used_channels: u16,
+    /// What was special.
+    pub flags: EstimateFlags,
+}
+
+impl Estimate {
+    /// Variance of parameter `index`; `None` if there is no such parameter.
+    #[must_use]
+    pub fn variance(&self, index: usize) -> Option<f64> {
+        // Column j of the upper triangle ends with its diagonal, at j(j+1)/2 + j.
+        self.covariance.get(index * (index + 3) / 2).copied()
+    }
+}
+
+/// Consecutive estimates; estimate j belongs to frame `header.sequence + j`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EstimateBlock {
+    /// Source: the id of identify; sequence: number of the first frame here; time: that of this frame.
+    pub header: Header,
+    /// Time of frame 0, ns since the Unix epoch, UTC.
+    pub t0_ns: i64,
+    /// Sampling rate of the structure, Hz.
+    pub sampling_rate_hz: f64,
+    /// Parameters per estimate.
+    pub parameters: u16,
+    /// Noise parameters per estimate.
+    pub noise_parameters: u16,
+    /// Observation rows per estimate.
+    pub channels: u16,
+    /// One estimate per frame.
+    pub estimates: Vec<Estimate>,
+    /// Whether more estimates follow this block.
+    pub state: StreamState,
+}
+
+impl EstimateBlock {
+    /// Times of the frames, from frame 0 of the epoch; `None` only if the block was never checked.
+    #[must_use]
+    pub fn grid(&self) -> Option<TimeGrid> {
+        TimeGrid::new(self.t0_ns, self.sampling_rate_hz)
+    }
+
+    /// The estimates in order, each with the number of its frame.
+    pub fn iter(&self) -> impl Iterator<Item = (u64, &Estimate)> {
+        (self.header.sequence..).zip(&self.estimates)
+    }
+
+    fn check_estimate(&self, estimate: &Estimate) -> Result<(), Malformed> {
+        let parameters = usize::from(self.parameters);
+        let noise = usize::from(self.noise_parameters);
+        let lists = [
+            ("mean", &estimate.mean, parameters),
+            ("covariance", &estimate.covariance, parameters * (parameters + 1) / 2),
+            ("noise mean", &estimate.noise_mean, noise),
+            ("noise covariance", &estimate.noise_covariance, noise),
+        ];
+        for (what, list, expected) in lists {
+            check_length(what, list.len(), expected)?;
+            for &value in list {
+                check_finite(what, value)?;
+            }
+        }
+        check_length("innovations", estimate.innovations.len(), usize::from(self.channels))?;
+        check_finite_or_missing("innovations", &estimate.innovations)?;
+        check_finite("normalised innovation squared", estimate.normalised_innovation_squared)?;
+        check_finite("log evidence", estimate.log_evidence)?;
+        check_count("used channels", usize::from(estimate.used_channels), 0, usize::from(self.channels))
+    }
+}
+
+fn check_length(what: &'static str, found: usize, expected: usize) -> Result<(), Malformed> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(Malformed::Length { what, found, expected })
+}
+
+impl Message for EstimateBlock {
+    const TYPE: &'static str = "estimates";
+    const VERSION: u16 = 1;
+    const FORMAT: Format = Format::Postcard;
+
+    fn check(&self) -> Result<(), Malformed> {
+        check_count("parameters", usize::from(self.parameters), 0, MAX_CHANNELS)?;
+        check_count("noise parameters", usize::from(self.noise_parameters), 0, MAX_CHANNELS)?;
+        check_count("channels", usize::from(self.channels), 0, MAX_CHANNELS)?;
+        check_count("estimates", self.estimates.len(), 0, MAX_ITEMS)?;
+        if self.grid().is_none() {
+            return Err(Malformed::Rate { found: self.sampling_rate_hz });
+        }
+        for estimate in &self.estimates {
+            self.check_estimate(estimate)?;
+        }
+        self.header.check(self.count())
+    }
+}
+
+impl Block for EstimateBlock {
+    fn header(&self) -> &Header {
+        &self.header
+    }
+
+    fn count(&self) -> u64 {
+        self.estimates.len() as u64
+    }
+
+    fn state(&self) -> StreamState {
+        self.state
+    }
+
+    fn item_bytes(&self) -> usize {
+        const LENGTHS_AND_FLAGS: usize = 64;
+        let parameters = usize::from(self.parameters);
+        let values =
+            parameters * (parameters + 3) / 2 + 2 * usize::from(self.noise_parameters) + usize::from(self.channels);
+        (8 * values + LENGTHS_AND_FLAGS).min(MAX_MESSAGE_BYTES)
+    }
+
+    fn skip(&mut self, items: u64) {
+        let items = items.min(self.count());
+        self.header.sequence += items;
+        if let Some(grid) = self.grid() {
+            self.header.time_ns = grid.time_ns(self.header.sequence);
+        }
+        self.estimates.drain(..items as usize);
+    }
+
+    fn truncate(&mut self, items: u64) {
+        if items < self.count() {
+            self.estimates.truncate(items as usize);
+            self.state = StreamState::Running;
+        }
+    }
+
+    fn append(&mut self, next: &Self) -> bool {
+        let follows = continues(&self.header, self.end(), self.state, &next.header)
+            && self.t0_ns == next.t0_ns
+            && self.sampling_rate_hz == next.sampling_rate_hz
+            && (self.parameters, self.noise_parameters, self.channels)
+                == (next.parameters, next.noise_parameters, next.channels)
+            && self.count() + next.count() <= MAX_ITEMS as u64;
+        if follows {
+            self.estimates.extend_from_slice(&next.estimates);
+            self.state = next.state;
+        }
+        follows
+    }
+}

@@ -1,0 +1,57 @@
+//! Rare things that people want to know: what, when, why.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Format, Malformed, Message, check_text};
+use crate::name::Name;
+
+/// The kinds of events.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EventKind {
+    /// A filter or a service was restarted.
+    Restart,
+    /// A reference or a noise parameter was calibrated.
+    Calibration,
+    /// Another model class leads.
+    LeadingClass,
+    /// A node is no longer waited for.
+    NodeExcluded,
+    /// A node is taken back.
+    NodeBack,
+    /// A channel is no longer used.
+    ChannelExcluded,
+    /// A channel is taken back.
+    ChannelBack,
+    /// Items are lost for good.
+    Gap,
+}
+
+/// One event.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Event {
+    /// The structure.
+    pub structure: Name,
+    /// When, ns since the Unix epoch, UTC, in measurement time.
+    pub time_ns: i64,
+    /// The kind.
+    pub kind: EventKind,
+    /// Whom it concerns: a node, channel, parameter or service.
+    pub subject: String,
+    /// What happened, in words.
+    pub what: String,
+    /// Why, in words.
+    pub why: String,
+}
+
+impl Message for Event {
+    const TYPE: &'static str = "event";
+    const VERSION: u16 = 1;
+    const FORMAT: Format = Format::Json;
+
+    fn check(&self) -> Result<(), Malformed> {
+        check_text("subject", &self.subject)?;
+        check_text("what", &self.what)?;
+        check_text("why", &self.why)
+    }
+}

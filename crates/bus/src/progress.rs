@@ -1,0 +1,111 @@
+//! How far a service has come: put by the service, watched by sources that must not run ahead.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+use tracing::{debug, warn};
+use zenoh::pubsub::Subscriber;
+use zenoh::sample::Sample;
+
+use crate::error::BusError;
+use crate::message::{Header, Message, Progress};
+use crate::publish::DisplayPublisher;
+use crate::session::Bus;
+
+/// A progress message may be dropped, so the last one is repeated.
+const REPEAT: Duration = Duration::from_millis(500);
+
+/// Puts the progress of a service: at once when it changes, and again while it does not.
+#[derive(Debug)]
+pub struct ProgressPublisher {
+    source: String,
+    latest: watch::Sender<Option<Progress>>,
+    _repeating: JoinSet<()>,
+}
+
+/// The last progress of a service; clones watch the same.
+#[derive(Clone, Debug)]
+pub struct ProgressWatch {
+    latest: watch::Receiver<Option<Progress>>,
+    _subscriber: Arc<Subscriber<()>>,
+}
+
+impl Bus {
+    /// Declares the progress of a service on its `progress` key; `source` is the id of the service.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key, or the session is closed.
+    pub async fn publish_progress(&self, key: String, source: String) -> Result<ProgressPublisher, BusError> {
+        let publisher = self.publish_display(key).await?;
+        let (latest, changes) = watch::channel(None);
+        let mut repeating = JoinSet::new();
+        repeating.spawn(repeat(publisher, changes));
+        Ok(ProgressPublisher { source, latest, _repeating: repeating })
+    }
+
+    /// Watches the progress put on a `progress` key.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key, or the session is closed.
+    pub async fn watch_progress(&self, key: String) -> Result<ProgressWatch, BusError> {
+        let (changes, latest) = watch::channel(None);
+        let declared = self.session().declare_subscriber(key.clone());
+        let subscriber = declared
+            .callback(move |sample: Sample| {
+                let payload = sample.payload().to_bytes();
+                match Progress::decode(&sample.encoding().to_string(), &payload) {
+                    Ok(progress) => drop(changes.send_replace(Some(progress))),
+                    Err(error) => debug!(key = %sample.key_expr(), %error, "progress refused"),
+                }
+            })
+            .await
+            .map_err(|source| BusError::Declare { key, source })?;
+        Ok(ProgressWatch { latest, _subscriber: Arc::new(subscriber) })
+    }
+}
+
+async fn repeat(publisher: DisplayPublisher<Progress>, mut changes: watch::Receiver<Option<Progress>>) {
+    loop {
+        let progress = changes.borrow_and_update().clone();
+        if let Some(progress) = progress
+            && let Err(error) = publisher.put(&progress).await
+        {
+            warn!(%error, "progress not put");
+            return;
+        }
+        tokio::select! {
+            changed = changes.changed() => if changed.is_err() { return },
+            () = tokio::time::sleep(REPEAT) => {}
+        }
+    }
+}
+
+impl ProgressPublisher {
+    /// Says that all frames of `epoch` below number `done` are done; `time_ns` is the time of the last one,
+    /// ns since the Unix epoch. Never waits.
+    pub fn set(&self, epoch: u64, done: u64, time_ns: i64) {
+        self.latest.send_replace(Some(Progress {
+            header: Header { source: self.source.clone(), epoch, sequence: done, time_ns },
+            done,
+        }));
+    }
+}
+
+impl ProgressWatch {
+    /// The last progress heard of.
+    #[must_use]
+    pub fn latest(&self) -> Option<Progress> {
+        self.latest.borrow().clone()
+    }
+
+    /// Waits until a progress message arrives that fulfils a condition, and returns it; the last one counts.
+    pub async fn wait_for(&mut self, mut reached: impl FnMut(&Progress) -> bool) -> Progress {
+        let waited = self.latest.wait_for(|progress| progress.as_ref().is_some_and(&mut reached)).await;
+        match waited.map(|progress| progress.clone()) {
+            Ok(Some(progress)) => progress,
+            Ok(None) | Err(_) => std::future::pending().await, // the session is closed: nothing arrives any more
+        }
+    }
+}

@@ -1,0 +1,225 @@
+//! Puts messages: numbered blocks that can be asked for again, and values for people.
+
+use std::marker::PhantomData;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::task::JoinSet;
+use tracing::{debug, warn};
+use zenoh::Session;
+use zenoh::key_expr::KeyExpr;
+use zenoh::pubsub::Publisher;
+use zenoh::qos::CongestionControl;
+use zenoh::query::{Query, Queryable};
+
+use crate::error::BusError;
+use crate::message::{Block, CaughtUp, Message};
+use crate::range::QueryRange;
+use crate::ring::{Answer, Ring};
+use crate::session::Bus;
+
+/// Queries waiting for an answer; one more is dropped, and its asker asks again.
+const QUERIES_WAITING: usize = 64;
+
+/// Where a lossless stream is put, and what its ring keeps.
+#[derive(Clone, Debug)]
+pub struct NumberedStream {
+    /// Key of the blocks.
+    pub key: String,
+    /// Key of the queries for them.
+    pub buffer_key: String,
+    /// Source id, as in the headers.
+    pub source: String,
+    /// Epoch of the first block.
+    pub epoch: u64,
+    /// Items kept at least.
+    pub capacity: u64,
+}
+
+/// Puts the blocks of a lossless stream, and keeps the latest for those who missed them.
+///
+/// A put never waits: what the network cannot take is dropped, and fetched by its readers from the ring.
+#[derive(Debug)]
+pub struct NumberedPublisher<B> {
+    publisher: Publisher<'static>,
+    ring: Arc<Mutex<Ring<B>>>,
+    _queryable: Queryable<()>,
+    _answering: JoinSet<()>,
+}
+
+impl Bus {
+    /// Declares a lossless stream.
+    ///
+    /// # Errors
+    /// Zenoh refuses a key, or the session is closed.
+    pub async fn publish_numbered<B: Block>(&self, stream: NumberedStream) -> Result<NumberedPublisher<B>, BusError> {
+        let NumberedStream { key, buffer_key, source, epoch, capacity } = stream;
+        let ring = Arc::new(Mutex::new(Ring::new(source, epoch, capacity)));
+        let (queries, waiting) = flume::bounded(QUERIES_WAITING);
+        let queryable = declare_queryable(self.session(), buffer_key, queries).await?;
+        let mut answering = JoinSet::new();
+        answering.spawn(answer_from_ring(ring.clone(), waiting));
+        let publisher = declare_publisher::<B>(self.session(), key).await?;
+        Ok(NumberedPublisher { publisher, ring, _queryable: queryable, _answering: answering })
+    }
+
+    /// Declares a topic for people and dashboards: a value that the network cannot take is dropped.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key, or the session is closed.
+    pub async fn publish_display<M: Message>(&self, key: String) -> Result<DisplayPublisher<M>, BusError> {
+        let publisher = declare_publisher::<M>(self.session(), key).await?;
+        Ok(DisplayPublisher { publisher, message: PhantomData })
+    }
+
+    /// Declares a topic whose last value is also given on query.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key, or the session is closed.
+    pub async fn publish_latest<M>(&self, key: String) -> Result<LatestPublisher<M>, BusError>
+    where
+        M: Message + 'static,
+    {
+        let latest = Arc::new(Mutex::new(None));
+        let (queries, waiting) = flume::bounded(QUERIES_WAITING);
+        let queryable = declare_queryable(self.session(), key.clone(), queries).await?;
+        let mut answering = JoinSet::new();
+        let answer_key = key.clone();
+        answering.spawn(answer_latest::<M>(answer_key, latest.clone(), waiting));
+        let publisher = self.publish_display(key).await?;
+        Ok(LatestPublisher { publisher, latest, _queryable: queryable, _answering: answering })
+    }
+}
+
+async fn declare_publisher<M: Message>(session: &Session, key: String) -> Result<Publisher<'static>, BusError> {
+    let declared = session
+        .declare_publisher(key.clone())
+        .encoding(M::encoding())
+        .congestion_control(CongestionControl::Drop)
+        .express(false)
+        .await;
+    declared.map_err(|source| BusError::Declare { key, source })
+}
+
+/// The callback only hands over: Zenoh's threads do no work of ours.
+async fn declare_queryable(
+    session: &Session,
+    key: String,
+    queries: flume::Sender<Query>,
+) -> Result<Queryable<()>, BusError> {
+    let declared = session.declare_queryable(key.clone()).callback(move |query| drop(queries.try_send(query))).await;
+    declared.map_err(|source| BusError::Declare { key, source })
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Nothing that panics runs under these locks; a poisoned one is as good as any.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+async fn put<M: Message>(publisher: &Publisher<'static>, message: &M) -> Result<(), BusError> {
+    let payload = encode(publisher.key_expr(), message)?;
+    put_payload(publisher, payload).await
+}
+
+fn encode<M: Message>(key: &KeyExpr<'_>, message: &M) -> Result<Vec<u8>, BusError> {
+    message.encode().map_err(|source| BusError::Encode { key: key.to_string(), source })
+}
+
+async fn put_payload(publisher: &Publisher<'static>, payload: Vec<u8>) -> Result<(), BusError> {
+    let put = publisher.put(payload).await;
+    put.map_err(|source| BusError::Put { key: publisher.key_expr().to_string(), source })
+}
+
+impl<B: Block> NumberedPublisher<B> {
+    /// Puts the next block.
+    ///
+    /// # Errors
+    /// The block does not continue the stream or is malformed, or the session is closed.
+    pub async fn put(&self, block: B) -> Result<(), BusError> {
+        let payload = encode(self.publisher.key_expr(), &block)?;
+        // Into the ring first: whoever sees a gap after this put finds the block there.
+        let pushed = lock(&self.ring).push(block);
+        pushed.map_err(|source| BusError::NotConsecutive { key: self.publisher.key_expr().to_string(), source })?;
+        put_payload(&self.publisher, payload).await
+    }
+}
+
+async fn answer_from_ring<B: Block>(ring: Arc<Mutex<Ring<B>>>, queries: flume::Receiver<Query>) {
+    while let Ok(query) = queries.recv_async().await {
+        let range: QueryRange = match query.parameters().as_str().parse() {
+            Ok(range) => range,
+            Err(error) => {
+                warn!(key = %query.key_expr(), %error, "query refused");
+                let _ = query.reply_err(error.to_string()).await; // the asker may be gone
+                continue;
+            }
+        };
+        let answer = lock(&ring).answer(&range);
+        let encoded = match &answer {
+            Answer::Block(block) => block.encode().map(|payload| (payload, B::encoding())),
+            Answer::CaughtUp(at) => at.encode().map(|payload| (payload, CaughtUp::encoding())),
+        };
+        match encoded {
+            Ok((payload, encoding)) => reply(&query, query.key_expr(), payload, encoding).await,
+            Err(error) => warn!(key = %query.key_expr(), %error, "answer cannot be encoded"),
+        }
+    }
+}
+
+/// An asker that is gone asks again when it is back: a failed reply is no error of ours.
+async fn reply(query: &Query, key: &KeyExpr<'static>, payload: Vec<u8>, encoding: String) {
+    if let Err(error) = query.reply(key, payload).encoding(encoding).await {
+        debug!(key = %key, %error, "answer not sent");
+    }
+}
+
+/// Puts values for people and dashboards.
+#[derive(Debug)]
+pub struct DisplayPublisher<M> {
+    publisher: Publisher<'static>,
+    message: PhantomData<fn(M)>,
+}
+
+impl<M: Message> DisplayPublisher<M> {
+    /// Puts a value.
+    ///
+    /// # Errors
+    /// The value is malformed, or the session is closed.
+    pub async fn put(&self, message: &M) -> Result<(), BusError> {
+        put(&self.publisher, message).await
+    }
+}
+
+/// Puts values, and gives the last one to whoever asks.
+#[derive(Debug)]
+pub struct LatestPublisher<M> {
+    publisher: DisplayPublisher<M>,
+    latest: Arc<Mutex<Option<Vec<u8>>>>,
+    _queryable: Queryable<()>,
+    _answering: JoinSet<()>,
+}
+
+impl<M: Message> LatestPublisher<M> {
+    /// Puts a value; it is the answer to queries from now on.
+    ///
+    /// # Errors
+    /// The value is malformed, or the session is closed.
+    pub async fn put(&self, message: &M) -> Result<(), BusError> {
+        let publisher = &self.publisher.publisher;
+        let payload = encode(publisher.key_expr(), message)?;
+        *lock(&self.latest) = Some(payload.clone());
+        put_payload(publisher, payload).await
+    }
+}
+
+async fn answer_latest<M: Message>(key: String, latest: Arc<Mutex<Option<Vec<u8>>>>, queries: flume::Receiver<Query>) {
+    let Ok(key) = KeyExpr::new(key) else {
+        return; // it has been declared, so it is one
+    };
+    while let Ok(query) = queries.recv_async().await {
+        // The query may be for all parameters: the reply goes to the key of this one.
+        let payload = lock(&latest).clone();
+        if let Some(payload) = payload {
+            reply(&query, &key, payload, M::encoding()).await;
+        }
+    }
+}

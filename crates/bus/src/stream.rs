@@ -1,0 +1,333 @@
+//! Reads a lossless stream: joins [`Follower`] to Zenoh.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tokio::task::JoinSet;
+use tokio::time::sleep;
+use tracing::{debug, warn};
+use zenoh::Session;
+use zenoh::pubsub::Subscriber;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::ConsolidationMode;
+use zenoh::sample::Sample;
+
+use crate::error::BusError;
+use crate::follow::{Action, Delivery, FollowCounts, Follower, Gap, Start};
+use crate::message::{Block, CaughtUp, DecodeError, Message, SampleBlock};
+use crate::range::QueryRange;
+use crate::ring::Answer;
+use crate::session::Bus;
+
+/// Longest pause between fetches that fail, and between polls of an idle stream.
+const LONGEST_PAUSE: Duration = Duration::from_millis(2_400);
+/// Pause before the second try of a fetch; it doubles up to [`LONGEST_PAUSE`].
+const FIRST_PAUSE: Duration = Duration::from_millis(50);
+/// Replies of one query that are looked at; there should be one.
+const REPLIES: usize = 4;
+
+/// How to read a lossless stream.
+#[derive(Clone, Debug)]
+pub struct StreamSettings {
+    /// Where to start.
+    pub start: Start,
+    /// Messages waiting between Zenoh and the reader; when it is full the newest is dropped, and fetched later.
+    pub queue: usize,
+    /// Blocks waiting for the consumer; when it is full the reader waits.
+    pub deliveries: usize,
+    /// Items per fetch.
+    pub fetch_limit: u64,
+    /// Time without a message after which the source is asked whether one was lost.
+    pub idle: Duration,
+    /// Time within which a fetch must be answered.
+    pub fetch_timeout: Duration,
+}
+
+impl StreamSettings {
+    /// Settings for a stream of a few hundred blocks per second.
+    #[must_use]
+    pub fn new(start: Start) -> Self {
+        Self {
+            start,
+            queue: 256,
+            deliveries: 64,
+            fetch_limit: 4096,
+            idle: Duration::from_millis(300),
+            fetch_timeout: Duration::from_secs(2),
+        }
+    }
+}
+
+/// What a reader has counted.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct StreamCounts {
+    /// What did not come straight through.
+    pub follow: FollowCounts,
+    /// Messages that found the queue full.
+    pub overflowed: u64,
+    /// Messages refused, by reason.
+    pub refused: BTreeMap<&'static str, u64>,
+}
+
+impl StreamCounts {
+    /// What was dropped, lost or mended, by reason, for a status message.
+    #[must_use]
+    pub fn drops(&self) -> BTreeMap<String, u64> {
+        let follow = &self.follow;
+        let counts = [
+            ("duplicate-items", follow.duplicate_items),
+            ("fetched-items", follow.fetched_items),
+            ("lost-items", follow.gap_items),
+            ("stale-blocks", follow.stale_blocks),
+            ("foreign-blocks", follow.foreign_blocks),
+            ("unkept-blocks", follow.unkept_blocks),
+            ("overflowed-messages", self.overflowed),
+        ];
+        let counted = counts.into_iter().filter(|(_, count)| *count > 0);
+        let refused = self.refused.iter();
+        counted
+            .map(|(reason, count)| (reason.to_owned(), count))
+            .chain(refused.map(|(reason, count)| (format!("refused-{reason}"), *count)))
+            .collect()
+    }
+}
+
+/// A lossless stream being read; reading ends when this is dropped.
+#[derive(Debug)]
+pub struct Stream<B> {
+    deliveries: flume::Receiver<Delivery<B>>,
+    counts: Arc<Mutex<StreamCounts>>,
+    overflowed: Arc<AtomicU64>,
+    _subscriber: Subscriber<()>,
+    _reading: JoinSet<()>,
+}
+
+impl<B: Block> Stream<B> {
+    /// The items in order; safe to drop while waiting, and may be read from a thread without a runtime.
+    ///
+    /// It never disconnects while this stream exists.
+    #[must_use]
+    pub fn deliveries(&self) -> &flume::Receiver<Delivery<B>> {
+        &self.deliveries
+    }
+
+    /// What has been counted so far.
+    #[must_use]
+    pub fn counts(&self) -> StreamCounts {
+        let counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        StreamCounts { overflowed: self.overflowed.load(Ordering::Relaxed), ..counts.clone() }
+    }
+}
+
+impl Bus {
+    /// Reads the stream put on `key`, whose missing items are asked for on `buffer_key`.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key, or the session is closed.
+    pub async fn follow<B: Block>(
+        &self,
+        key: String,
+        buffer_key: String,
+        settings: StreamSettings,
+    ) -> Result<Stream<B>, BusError> {
+        let overflowed = Arc::new(AtomicU64::new(0));
+        let (samples, arrived) = flume::bounded(settings.queue.max(1));
+        let (out, deliveries) = flume::bounded(settings.deliveries.max(1));
+        let counts = Arc::new(Mutex::new(StreamCounts::default()));
+        let full = overflowed.clone();
+        let declared = self.session().declare_subscriber(key.clone());
+        let subscriber = declared
+            .callback(move |sample: Sample| {
+                if samples.try_send(sample).is_err() {
+                    full.fetch_add(1, Ordering::Relaxed);
+                }
+            })
+            .await
+            .map_err(|source| BusError::Declare { key: key.clone(), source })?;
+        let reader = Reader {
+            follower: Follower::new(settings.start, settings.fetch_limit),
+            actions: VecDeque::new(),
+            fetch: None,
+            polls: 0,
+            session: self.session().clone(),
+            key,
+            buffer_key,
+            settings,
+            counts: counts.clone(),
+        };
+        let mut reading = JoinSet::new();
+        reading.spawn(reader.run(arrived, out));
+        Ok(Stream { deliveries, counts, overflowed, _subscriber: subscriber, _reading: reading })
+    }
+}
+
+impl Bus {
+    /// Asks where a stream stands; none if nobody answers in time.
+    pub async fn stream_position(&self, buffer_key: &str, timeout: Duration) -> Option<CaughtUp> {
+        // Nobody has so many items: the answer can only be where the stream ends.
+        let range = QueryRange { after: u64::MAX, limit: 1, epoch: None };
+        let selector = format!("{buffer_key}?{range}");
+        let session = self.session().clone();
+        match fetch::<SampleBlock>(session, selector, Duration::ZERO, timeout).await {
+            Some(Ok(Answer::CaughtUp(at))) => Some(at),
+            Some(Ok(Answer::Block(_)) | Err(_)) | None => None,
+        }
+    }
+}
+
+/// What came of a fetch; none if nobody answered.
+type Fetched<B> = Option<Result<Answer<B>, DecodeError>>;
+
+struct Reader<B> {
+    follower: Follower<B>,
+    actions: VecDeque<Action<B>>,
+    fetch: Option<Pin<Box<dyn Future<Output = Fetched<B>> + Send>>>,
+    polls: u32,
+    session: Session,
+    key: String,
+    buffer_key: String,
+    settings: StreamSettings,
+    counts: Arc<Mutex<StreamCounts>>,
+}
+
+impl<B: Block> Reader<B> {
+    async fn run(mut self, arrived: flume::Receiver<Sample>, out: flume::Sender<Delivery<B>>) {
+        self.follower.idle(&mut self.actions); // what was put before this reader came
+        loop {
+            while let Some(action) = self.actions.pop_front() {
+                match action {
+                    Action::Deliver(delivery) => {
+                        self.log_gap(&delivery);
+                        if out.send_async(delivery).await.is_err() {
+                            return; // nobody reads any more
+                        }
+                    }
+                    Action::Fetch { range, failures } => self.start_fetch(range, failures),
+                }
+            }
+            self.publish_counts();
+            let idle_pause = self.idle_pause();
+            tokio::select! {
+                biased; // answers first: they are what the messages after them wait for
+                fetched = answer_of(&mut self.fetch) => self.fetched(fetched),
+                sample = arrived.recv_async() => match sample {
+                    Ok(sample) => self.arrived(&sample),
+                    Err(flume::RecvError::Disconnected) => return,
+                },
+                () = sleep(idle_pause) => {
+                    self.polls += 1;
+                    self.follower.idle(&mut self.actions);
+                }
+            }
+        }
+    }
+
+    fn idle_pause(&self) -> Duration {
+        let doubled = self.settings.idle * 2_u32.pow(self.polls.min(8));
+        doubled.min(LONGEST_PAUSE.max(self.settings.idle))
+    }
+
+    fn arrived(&mut self, sample: &Sample) {
+        self.polls = 0;
+        let payload = sample.payload().to_bytes();
+        match B::decode(&sample.encoding().to_string(), &payload) {
+            Ok(block) => self.follower.live(block, &mut self.actions),
+            Err(error) => self.refuse(&error),
+        }
+    }
+
+    fn fetched(&mut self, fetched: Fetched<B>) {
+        self.fetch = None;
+        match fetched {
+            Some(Ok(answer)) => self.follower.answered(answer, &mut self.actions),
+            Some(Err(error)) => {
+                self.refuse(&error);
+                self.follower.unanswered(&mut self.actions);
+            }
+            None => self.follower.unanswered(&mut self.actions),
+        }
+    }
+
+    /// Counted always, logged each time the count has doubled.
+    fn refuse(&mut self, error: &DecodeError) {
+        let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = counts.refused.entry(error.reason()).or_default();
+        *count += 1;
+        if count.is_power_of_two() {
+            warn!(key = self.key, %error, reason = error.reason(), count = *count, "message refused");
+        }
+    }
+
+    fn log_gap(&self, delivery: &Delivery<B>) {
+        if let Delivery::Gap(Gap { epoch, from, to }) = delivery {
+            warn!(key = self.key, epoch, from, to, "items lost: their source no longer has them");
+        }
+    }
+
+    fn publish_counts(&self) {
+        let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        counts.follow = self.follower.counts().clone();
+    }
+
+    fn start_fetch(&mut self, range: QueryRange, failures: u32) {
+        let pause = match failures {
+            0 => Duration::ZERO,
+            n => (FIRST_PAUSE * 2_u32.pow((n - 1).min(8))).min(LONGEST_PAUSE),
+        };
+        self.fetch = Some(Box::pin(fetch(
+            self.session.clone(),
+            format!("{}?{range}", self.buffer_key),
+            pause,
+            self.settings.fetch_timeout,
+        )));
+    }
+}
+
+/// Waits for the fetch under way, forever if there is none.
+async fn answer_of<B>(fetch: &mut Option<Pin<Box<dyn Future<Output = Fetched<B>> + Send>>>) -> Fetched<B> {
+    match fetch {
+        Some(fetch) => fetch.await,
+        None => std::future::pending().await,
+    }
+}
+
+async fn fetch<B: Block>(session: Session, selector: String, pause: Duration, timeout: Duration) -> Fetched<B> {
+    sleep(pause).await;
+    let (replies, received) = flume::bounded(REPLIES);
+    let asked = session
+        .get(&selector)
+        .consolidation(ConsolidationMode::None)
+        .timeout(timeout)
+        // The answer inherits both: it overtakes the live blocks, and never makes the source wait.
+        .priority(Priority::DataHigh)
+        .congestion_control(CongestionControl::Drop)
+        .callback(move |reply| drop(replies.try_send(reply)))
+        .await;
+    if let Err(error) = asked {
+        debug!(selector, %error, "query not sent");
+        return None;
+    }
+    while let Ok(reply) = received.recv_async().await {
+        match reply.result() {
+            Ok(sample) => return Some(read_answer(sample)),
+            Err(error) => {
+                let text = error.payload().try_to_string();
+                debug!(selector, error = ?text, "query refused");
+            }
+        }
+    }
+    None
+}
+
+fn read_answer<B: Block>(sample: &Sample) -> Result<Answer<B>, DecodeError> {
+    let encoding = sample.encoding().to_string();
+    let payload = sample.payload().to_bytes();
+    if encoding == CaughtUp::encoding() {
+        return CaughtUp::decode(&encoding, &payload).map(Answer::CaughtUp);
+    }
+    B::decode(&encoding, &payload).map(Answer::Block)
+}

@@ -1,0 +1,112 @@
+//! Reads display topics: the newest values count.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tracing::warn;
+use zenoh::pubsub::Subscriber;
+use zenoh::query::ConsolidationMode;
+use zenoh::sample::Sample;
+
+use crate::error::BusError;
+use crate::message::{DecodeError, Message};
+use crate::session::Bus;
+
+/// Messages of one kind, with the keys they were put on; when the queue is full, the oldest is overwritten.
+#[derive(Debug)]
+pub struct Subscription<M> {
+    messages: flume::Receiver<(String, M)>,
+    refused: Arc<Mutex<BTreeMap<&'static str, u64>>>,
+    _subscriber: Subscriber<()>,
+}
+
+impl<M: Message + Send + 'static> Subscription<M> {
+    /// The messages; safe to drop while waiting.
+    #[must_use]
+    pub fn messages(&self) -> &flume::Receiver<(String, M)> {
+        &self.messages
+    }
+
+    /// Messages refused, by reason; `overwritten` counts those that a newer one pushed out.
+    #[must_use]
+    pub fn refused(&self) -> BTreeMap<&'static str, u64> {
+        let refused = self.refused.lock().unwrap_or_else(PoisonError::into_inner);
+        refused.clone()
+    }
+}
+
+fn count(refused: &Mutex<BTreeMap<&'static str, u64>>, reason: &'static str) -> u64 {
+    let mut refused = refused.lock().unwrap_or_else(PoisonError::into_inner);
+    let count = refused.entry(reason).or_default();
+    *count += 1;
+    *count
+}
+
+impl Bus {
+    /// Subscribes to messages of one kind; at most `queue` wait.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key expression, or the session is closed.
+    pub async fn subscribe<M: Message + Send + 'static>(
+        &self,
+        key_expression: String,
+        queue: usize,
+    ) -> Result<Subscription<M>, BusError> {
+        let (sender, messages) = flume::bounded(queue.max(1));
+        let refused = Arc::new(Mutex::new(BTreeMap::new()));
+        let (oldest, refusals) = (messages.clone(), refused.clone());
+        let declared = self.session().declare_subscriber(key_expression.clone());
+        let subscriber = declared
+            .callback(move |sample: Sample| match read(&sample) {
+                Ok(message) => {
+                    let mut unsent = Some(message);
+                    while let Some(message) = unsent.take() {
+                        if let Err(flume::TrySendError::Full(message)) = sender.try_send(message) {
+                            unsent = Some(message);
+                            if oldest.try_recv().is_ok() {
+                                count(&refusals, "overwritten");
+                            }
+                        }
+                    }
+                }
+                Err(error) => {
+                    let times = count(&refusals, error.reason());
+                    if times.is_power_of_two() {
+                        warn!(key = %sample.key_expr(), %error, times, "message refused");
+                    }
+                }
+            })
+            .await
+            .map_err(|source| BusError::Declare { key: key_expression, source })?;
+        Ok(Subscription { messages, refused, _subscriber: subscriber })
+    }
+
+    /// Asks for the last values of topics that answer queries; what is no such message is left out.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key expression, or the session is closed.
+    pub async fn ask<M: Message>(&self, key_expression: &str, timeout: Duration) -> Result<Vec<(String, M)>, BusError> {
+        let replies = self
+            .session()
+            .get(key_expression)
+            .consolidation(ConsolidationMode::None)
+            .timeout(timeout)
+            .await
+            .map_err(|source| BusError::Put { key: key_expression.to_owned(), source })?;
+        let mut found = Vec::new();
+        while let Ok(reply) = replies.recv_async().await {
+            match reply.result().map(read) {
+                Ok(Ok(message)) => found.push(message),
+                Ok(Err(error)) => warn!(key_expression, %error, "answer refused"),
+                Err(_) => {} // the one asked has nothing
+            }
+        }
+        Ok(found)
+    }
+}
+
+fn read<M: Message>(sample: &Sample) -> Result<(String, M), DecodeError> {
+    let message = M::decode(&sample.encoding().to_string(), &sample.payload().to_bytes())?;
+    Ok((sample.key_expr().to_string(), message))
+}

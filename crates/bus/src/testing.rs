@@ -1,0 +1,15 @@
+//! Builders for the tests of this room.
+
+use crate::message::{FrameBlock, Header, StreamState};
+
+/// Frames `sequence..sequence + count` of one channel; the value of a frame is its number.
+pub(crate) fn frames(epoch: u64, sequence: u64, count: u64) -> FrameBlock {
+    FrameBlock {
+        header: Header { source: "source".into(), epoch, sequence, time_ns: (sequence * 5_000_000) as i64 },
+        t0_ns: 0,
+        sampling_rate_hz: 200.0,
+        channels: 1,
+        values: (sequence..sequence + count).map(|v| v as f64).collect(),
+        state: StreamState::Running,
+    }
+}

@@ -1,0 +1,285 @@
+//! Two real Zenoh sessions over TCP on the loopback interface, without multicast.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+use std::net::TcpListener;
+use std::time::Duration;
+
+use spandrel_bus::{
+    Block, Bus, BusConfig, BusError, Delivery, Event, EventKind, FrameBlock, Header, Keys, Message, Mode,
+    NumberedPublisher, NumberedStream, Service, Start, Stream, StreamSettings, StreamState,
+};
+use tokio::time::timeout;
+
+/// Only ends a hang.
+const DEADLINE: Duration = Duration::from_secs(60);
+
+fn free_endpoint() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    format!("tcp/{}", listener.local_addr().unwrap())
+}
+
+fn listening(endpoint: &str) -> BusConfig {
+    BusConfig { listen: vec![endpoint.into()], ..BusConfig::default() }
+}
+
+fn connecting(endpoint: &str) -> BusConfig {
+    BusConfig { connect: vec![endpoint.into()], ..BusConfig::default() }
+}
+
+async fn pair() -> (Bus, Bus) {
+    let endpoint = free_endpoint();
+    let first = Bus::open(&listening(&endpoint)).await.unwrap();
+    let second = Bus::open(&connecting(&endpoint)).await.unwrap();
+    (first, second)
+}
+
+fn keys() -> Keys {
+    Keys::parse("test", "tower").unwrap()
+}
+
+fn frames(epoch: u64, sequence: u64, count: u64) -> FrameBlock {
+    FrameBlock {
+        header: Header { source: "source".into(), epoch, sequence, time_ns: (sequence * 5_000_000) as i64 },
+        t0_ns: 0,
+        sampling_rate_hz: 200.0,
+        channels: 1,
+        values: (sequence..sequence + count).map(|v| v as f64).collect(),
+        state: StreamState::Running,
+    }
+}
+
+async fn publisher(bus: &Bus, capacity: u64) -> NumberedPublisher<FrameBlock> {
+    let stream = NumberedStream {
+        key: keys().frames(),
+        buffer_key: keys().recording(),
+        source: "source".into(),
+        epoch: 1,
+        capacity,
+    };
+    bus.publish_numbered(stream).await.unwrap()
+}
+
+async fn reader(bus: &Bus, settings: StreamSettings) -> Stream<FrameBlock> {
+    bus.follow(keys().frames(), keys().recording(), settings).await.unwrap()
+}
+
+/// Reads up to item `end`; everything must be there, in order.
+async fn read_all(stream: &Stream<FrameBlock>, end: u64) {
+    let mut next = 0;
+    while next < end {
+        let delivery = timeout(DEADLINE, stream.deliveries().recv_async()).await;
+        match delivery.expect("the stream hangs").unwrap() {
+            Delivery::Block(block) => {
+                assert_eq!(block.header.sequence, next);
+                let expected: Vec<f64> = (next..block.end()).map(|v| v as f64).collect();
+                assert_eq!(block.values, expected);
+                next = block.end();
+            }
+            Delivery::Gap(gap) => panic!("{gap:?}"),
+        }
+    }
+    assert_eq!(next, end);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reader_that_joins_late_gets_everything() {
+    let (first, second) = pair().await;
+    let publisher = publisher(&first, 10_000).await;
+    for block in 0..100 {
+        publisher.put(frames(1, block * 10, 10)).await.unwrap();
+    }
+    let stream = reader(&second, StreamSettings::new(Start::Beginning)).await;
+    read_all(&stream, 1000).await;
+    publisher.put(frames(1, 1000, 5)).await.unwrap();
+    let last = timeout(DEADLINE, stream.deliveries().recv_async()).await;
+    assert_eq!(last.unwrap(), Ok(Delivery::Block(frames(1, 1000, 5))));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reader_that_stalls_loses_nothing() {
+    let (first, second) = pair().await;
+    let publisher = publisher(&first, 100_000).await;
+    let settings =
+        StreamSettings { queue: 2, deliveries: 1, fetch_limit: 500, ..StreamSettings::new(Start::Beginning) };
+    let stream = reader(&second, settings).await;
+    for block in 0..5_000 {
+        publisher.put(frames(1, block * 10, 10)).await.unwrap();
+    }
+    read_all(&stream, 50_000).await;
+    assert!(stream.counts().follow.fetched_items > 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reader_in_the_same_session_that_stalls_loses_nothing() {
+    let bus = Bus::open(&listening(&free_endpoint())).await.unwrap();
+    let publisher = publisher(&bus, 100_000).await;
+    let settings = StreamSettings { queue: 2, deliveries: 1, ..StreamSettings::new(Start::Beginning) };
+    let stream = reader(&bus, settings).await;
+    for block in 0..1_000 {
+        publisher.put(frames(1, block * 10, 10)).await.unwrap();
+    }
+    read_all(&stream, 10_000).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_the_ring_has_forgotten_is_a_gap() {
+    let endpoint = free_endpoint();
+    let first = Bus::open(&listening(&endpoint)).await.unwrap();
+    let publisher = publisher(&first, 10).await;
+    for block in 0..10 {
+        publisher.put(frames(1, block * 10, 10)).await.unwrap();
+    }
+    let second = Bus::open(&connecting(&endpoint)).await.unwrap();
+    let stream = reader(&second, StreamSettings::new(Start::Beginning)).await;
+    let delivery = timeout(DEADLINE, stream.deliveries().recv_async()).await;
+    let Ok(Ok(Delivery::Gap(gap))) = delivery else {
+        panic!("{delivery:?}");
+    };
+    assert_eq!((gap.epoch, gap.from, gap.to), (1, 0, 90));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn wrong_versions_and_damaged_messages_are_counted_and_dropped() {
+    let (first, second) = pair().await;
+    let publisher = publisher(&first, 1000).await;
+    let stream = reader(&second, StreamSettings::new(Start::Beginning)).await;
+    publisher.put(frames(1, 0, 5)).await.unwrap();
+    read_all(&stream, 5).await;
+    let payload = frames(1, 5, 5).encode().unwrap();
+    let truncated = payload[..payload.len() - 3].to_vec();
+    let put = |payload: Vec<u8>, encoding: String| {
+        let put = first.session().put(keys().frames(), payload);
+        put.encoding(encoding)
+    };
+    put(payload, "application/postcard;spandrel.frames.v9".into()).await.unwrap();
+    put(truncated, FrameBlock::encoding()).await.unwrap();
+    put(vec![0xff; 300], FrameBlock::encoding()).await.unwrap();
+    publisher.put(frames(1, 5, 5)).await.unwrap();
+    let delivery = timeout(DEADLINE, stream.deliveries().recv_async()).await;
+    assert_eq!(delivery.unwrap(), Ok(Delivery::Block(frames(1, 5, 5))));
+    let refused = stream.counts().refused;
+    assert_eq!(refused.get("encoding"), Some(&1));
+    assert_eq!(refused.get("undecodable"), Some(&2));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_restarted_source_starts_a_new_epoch() {
+    let (first, second) = pair().await;
+    let stream = reader(&second, StreamSettings::new(Start::Beginning)).await;
+    let publisher_1 = publisher(&first, 1000).await;
+    publisher_1.put(frames(1, 0, 5)).await.unwrap();
+    read_all(&stream, 5).await;
+    drop(publisher_1);
+    let publisher_2 = publisher(&first, 1000).await;
+    publisher_2.put(frames(2, 0, 3)).await.unwrap();
+    let delivery = timeout(DEADLINE, stream.deliveries().recv_async()).await;
+    assert_eq!(delivery.unwrap(), Ok(Delivery::Block(frames(2, 0, 3))));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn tokens_come_and_go() {
+    let (first, second) = pair().await;
+    let id = "one".parse().unwrap();
+    let all = keys().all_live(Service::Ingest);
+    let mut watch = second.watch_live(all).await.unwrap();
+    assert!(watch.present().is_empty());
+    let key = keys().live(Service::Ingest, &id);
+    let token = first.announce(key.clone()).await.unwrap();
+    timeout(DEADLINE, watch.some()).await.unwrap();
+    assert_eq!(watch.present().into_iter().collect::<Vec<_>>(), [key]);
+    token.withdraw().await.unwrap();
+    timeout(DEADLINE, watch.none()).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn tokens_are_seen_in_the_session_that_holds_them() {
+    let bus = Bus::open(&listening(&free_endpoint())).await.unwrap();
+    let mut early = bus.watch_live(keys().all_live(Service::Ingest)).await.unwrap();
+    let key = keys().live(Service::Ingest, &"one".parse().unwrap());
+    let token = bus.announce(key).await.unwrap();
+    timeout(DEADLINE, early.some()).await.unwrap();
+    let mut late = bus.watch_live(keys().all_live(Service::Ingest)).await.unwrap();
+    timeout(DEADLINE, late.some()).await.unwrap();
+    token.withdraw().await.unwrap();
+    timeout(DEADLINE, early.none()).await.unwrap();
+    timeout(DEADLINE, late.none()).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn progress_reaches_a_watcher_that_joins_after_it_was_put() {
+    let (first, second) = pair().await;
+    let key = keys().progress(Service::Identify);
+    let publisher = first.publish_progress(key.clone(), "identify-1".into());
+    let publisher = publisher.await.unwrap();
+    publisher.set(1, 7, 1234);
+    let mut watch = second.watch_progress(key).await.unwrap();
+    let progress = timeout(DEADLINE, watch.wait_for(|p| p.done >= 7)).await;
+    assert_eq!(progress.unwrap().header.time_ns, 1234);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_latest_value_is_given_on_query_under_its_own_key() {
+    let (first, second) = pair().await;
+    let name = "storey-2".parse().unwrap();
+    let publisher = first.publish_latest::<Event>(keys().alert(&name));
+    let publisher = publisher.await.unwrap();
+    let event = Event {
+        structure: "tower".parse().unwrap(),
+        time_ns: 1,
+        kind: EventKind::Restart,
+        subject: "filter".into(),
+        what: "restarted".into(),
+        why: "diverged".into(),
+    };
+    publisher.put(&event).await.unwrap();
+    let ask_until_answered = async {
+        loop {
+            // Without an answer the declaration of the one to ask is still on its way.
+            let found = second.ask::<Event>(&keys().all_alerts(), DEADLINE).await.unwrap();
+            if !found.is_empty() {
+                return found;
+            }
+        }
+    };
+    let found = timeout(DEADLINE, ask_until_answered).await.unwrap();
+    assert_eq!(found, [(keys().alert(&name), event)]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_port_in_use_is_named() {
+    let endpoint = free_endpoint();
+    let _first = Bus::open(&listening(&endpoint)).await.unwrap();
+    let opened = timeout(DEADLINE, Bus::open(&listening(&endpoint))).await;
+    match opened.expect("opening hangs") {
+        Err(BusError::Listen { endpoint: found, .. }) => assert_eq!(found, endpoint),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_endpoint_where_nobody_answers_is_named() {
+    let endpoint = free_endpoint();
+    for mode in [Mode::Peer, Mode::Client] {
+        let config = BusConfig { mode, connect_timeout_s: Some(0.5), ..connecting(&endpoint) };
+        let opened = timeout(DEADLINE, Bus::open(&config)).await;
+        match opened.expect("opening hangs") {
+            Err(BusError::Unreachable { endpoint: found, .. }) => assert_eq!(found, endpoint),
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_talks_to_another_through_a_router() {
+    let endpoint = free_endpoint();
+    let router = BusConfig { mode: Mode::Router, ..listening(&endpoint) };
+    let _router = Bus::open(&router).await.unwrap();
+    let client = BusConfig { mode: Mode::Client, ..connecting(&endpoint) };
+    let first = Bus::open(&client).await.unwrap();
+    let second = Bus::open(&client).await.unwrap();
+    let publisher = publisher(&first, 1000).await;
+    let stream = reader(&second, StreamSettings::new(Start::Beginning)).await;
+    publisher.put(frames(1, 0, 5)).await.unwrap();
+    read_all(&stream, 5).await;
+}

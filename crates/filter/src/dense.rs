@@ -1,0 +1,168 @@
+//! Small dense kernels that allocate nothing: nalgebra's own give up their storage on failure or pack into new buffers.
+
+use nalgebra::DMatrix;
+
+/// Replaces the lower triangle of a symmetric positive definite matrix by its Cholesky factor `L`; zeroes the rest.
+///
+/// Returns the row at which a pivot was not positive.
+pub(crate) fn cholesky_mut(matrix: &mut DMatrix<f64>) -> Result<(), usize> {
+    let n = matrix.nrows();
+    for j in 0..n {
+        let mut pivot = matrix[(j, j)];
+        for k in 0..j {
+            pivot -= matrix[(j, k)] * matrix[(j, k)];
+        }
+        // written so that NaN fails too
+        if !(pivot > 0.0 && pivot.is_finite()) {
+            return Err(j);
+        }
+        let diagonal = pivot.sqrt();
+        matrix[(j, j)] = diagonal;
+        for i in j + 1..n {
+            let mut entry = matrix[(i, j)];
+            for k in 0..j {
+                entry -= matrix[(i, k)] * matrix[(j, k)];
+            }
+            matrix[(i, j)] = entry / diagonal;
+            matrix[(j, i)] = 0.0;
+        }
+    }
+    Ok(())
+}
+
+/// Returns `ln|L Lᵀ|` of a Cholesky factor.
+pub(crate) fn ln_determinant(factor: &DMatrix<f64>) -> f64 {
+    2.0 * (0..factor.nrows()).map(|i| factor[(i, i)].ln()).sum::<f64>()
+}
+
+/// Replaces every column `b` (in a column-major slice) by `L⁻¹ b`.
+pub(crate) fn solve_lower_mut(factor: &DMatrix<f64>, columns: &mut [f64]) {
+    let m = factor.nrows();
+    if m == 0 {
+        return;
+    }
+    for column in columns.chunks_exact_mut(m) {
+        for i in 0..m {
+            let mut entry = column[i];
+            for k in 0..i {
+                entry -= factor[(i, k)] * column[k];
+            }
+            column[i] = entry / factor[(i, i)];
+        }
+    }
+}
+
+/// Replaces every column `b` (in a column-major slice) by `L⁻ᵀ b`.
+pub(crate) fn solve_lower_transposed_mut(factor: &DMatrix<f64>, columns: &mut [f64]) {
+    let m = factor.nrows();
+    if m == 0 {
+        return;
+    }
+    for column in columns.chunks_exact_mut(m) {
+        for i in (0..m).rev() {
+            let mut entry = column[i];
+            for k in i + 1..m {
+                entry -= factor[(k, i)] * column[k];
+            }
+            column[i] = entry / factor[(i, i)];
+        }
+    }
+}
+
+/// Replaces a square matrix by `(X + Xᵀ)/2`.
+pub(crate) fn symmetrise_mut(matrix: &mut DMatrix<f64>) {
+    let n = matrix.nrows();
+    for j in 0..n {
+        for i in 0..j {
+            let mean = 0.5 * (matrix[(i, j)] + matrix[(j, i)]);
+            matrix[(i, j)] = mean;
+            matrix[(j, i)] = mean;
+        }
+    }
+}
+
+/// Adds `scale · X C Xᵀ` to a symmetric matrix, with `X` (n × c) and a symmetric `C` (c × c) of few columns.
+pub(crate) fn add_quadratic_form_mut(target: &mut DMatrix<f64>, x: &DMatrix<f64>, c: &DMatrix<f64>, scale: f64) {
+    let n = x.nrows();
+    for b in 0..c.ncols() {
+        for a in 0..c.nrows() {
+            let weight = scale * c[(a, b)];
+            if weight == 0.0 {
+                continue;
+            }
+            for j in 0..n {
+                let right = weight * x[(j, b)];
+                for i in 0..n {
+                    target[(i, j)] += x[(i, a)] * right;
+                }
+            }
+        }
+    }
+}
+
+/// Subtracts `Vᵀ V` from a symmetric matrix (n × n), with `V` (m × n); both triangles get the same bits.
+pub(crate) fn subtract_gram_mut(target: &mut DMatrix<f64>, v: &DMatrix<f64>) {
+    let n = target.nrows();
+    let m = v.nrows();
+    if m == 0 {
+        return;
+    }
+    let columns = v.as_slice();
+    for j in 0..n {
+        let right = &columns[j * m..(j + 1) * m];
+        for i in 0..=j {
+            let left = &columns[i * m..(i + 1) * m];
+            let product: f64 = left.iter().zip(right).map(|(a, b)| a * b).sum();
+            let entry = target[(i, j)] - product;
+            target[(i, j)] = entry;
+            target[(j, i)] = entry;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Cholesky, DVector};
+
+    fn spd(n: usize) -> DMatrix<f64> {
+        let a = DMatrix::from_fn(n, n, |i, j| ((3 * i + 7 * j + 1) as f64).sin());
+        &a * a.transpose() + DMatrix::identity(n, n)
+    }
+
+    #[test]
+    fn factor_and_solves_agree_with_nalgebra() {
+        let s = spd(7);
+        let reference = Cholesky::new(s.clone()).unwrap();
+        let mut factor = s.clone();
+        cholesky_mut(&mut factor).unwrap();
+        assert!((&factor - reference.l()).amax() < 1e-13);
+        assert!((ln_determinant(&factor) - reference.ln_determinant()).abs() < 1e-12);
+        let mut b = DVector::from_fn(7, |i, _| (i as f64).cos());
+        let expected = reference.solve(&b);
+        solve_lower_mut(&factor, b.as_mut_slice());
+        solve_lower_transposed_mut(&factor, b.as_mut_slice());
+        assert!((b - expected).amax() < 1e-12);
+    }
+
+    #[test]
+    fn indefinite_matrix_names_its_pivot() {
+        let mut s = spd(4);
+        s[(2, 2)] = -1.0;
+        assert_eq!(cholesky_mut(&mut s), Err(2));
+    }
+
+    #[test]
+    fn rank_updates_agree_with_dense_products() {
+        let v = DMatrix::from_fn(3, 6, |i, j| (i as f64 - 0.3 * j as f64).sin());
+        let mut target = spd(6);
+        let expected = &target - v.transpose() * &v;
+        subtract_gram_mut(&mut target, &v);
+        assert!((&target - expected).amax() < 1e-13);
+        let x = DMatrix::from_fn(6, 2, |i, j| (1.0 + i as f64 * j as f64).cos());
+        let c = spd(2);
+        let expected = &target + 0.5 * &x * &c * x.transpose();
+        add_quadratic_form_mut(&mut target, &x, &c, 0.5);
+        assert!((&target - expected).amax() < 1e-12);
+    }
+}

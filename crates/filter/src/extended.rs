@@ -1,0 +1,616 @@
+//! The adaptive extended Kalman filter: a chain of stages around predict and update.
+//!
+//! Source: Huang & Yuen (2023), §2.4 (fading memory) and §3.2 (noise parameters); the order of one step is that of
+//! equations (3.14) to (3.18) with the noise parameters updated before the state.
+
+use crate::dense::{add_quadratic_form_mut, symmetrise_mut};
+use crate::discretise::{self, InputHold, Series};
+use crate::error::FilterError;
+use crate::fading::{FadingFactor, bound_variances_mut};
+use crate::model::{ObservationModel, ProcessModel};
+use crate::noise::{NoiseEvents, NoiseModel, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget, Objective};
+use crate::update::{self, CovarianceForm, ExcitationPosterior};
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+/// A negative variance below this, relative to the largest, is rounding: at the start of a wide prior the smallest
+/// eigenvalue sits there in every form of the update.
+const ROUNDING: f64 = 1e-12;
+
+/// Start-up aid: the measurement noise is taken as `Σ_n (1 + a e^(−t/τ))`.
+///
+/// With accurate sensors and parameters that start far off, the first updates lie outside the linear range of the
+/// filter and lock it at wrong values with small deviations; softened, they do not.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Annealing {
+    /// `a`, 0 for none.
+    pub amount: f64,
+    /// `τ` (s).
+    pub time_constant_s: f64,
+}
+
+/// All that a filter needs to know besides its model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FilterSettings {
+    /// Time between two frames (s).
+    pub step_s: f64,
+    /// Mean of the state before the first frame (n).
+    pub prior_mean: DVector<f64>,
+    /// Standard deviation of the state before the first frame (n).
+    pub prior_std: DVector<f64>,
+    /// `λ` of the state.
+    pub fading: FadingFactor,
+    /// No variance exceeds this (n, state unit²); infinite where there is no bound.
+    pub variance_bound: DVector<f64>,
+    /// The state is kept above this (n); minus infinity where there is no limit.
+    pub lower: DVector<f64>,
+    /// The state is kept below this (n).
+    pub upper: DVector<f64>,
+    /// Both noises.
+    pub noise: NoiseModel,
+    /// How the noise parameters are identified.
+    pub noise_settings: NoiseSettings,
+    /// Start-up aid, if any.
+    pub annealing: Option<Annealing>,
+    /// How a known excitation runs between frames.
+    pub input_hold: InputHold,
+    /// The form of the covariance update.
+    pub covariance_form: CovarianceForm,
+}
+
+impl FilterSettings {
+    /// Makes settings with no forgetting, no bounds, known noises and no start-up aid.
+    #[must_use]
+    pub fn new(step_s: f64, prior_mean: DVector<f64>, prior_std: DVector<f64>, noise: NoiseModel) -> Self {
+        let n = prior_mean.len();
+        Self {
+            step_s,
+            prior_mean,
+            prior_std,
+            fading: FadingFactor::NONE,
+            variance_bound: DVector::repeat(n, f64::INFINITY),
+            lower: DVector::repeat(n, f64::NEG_INFINITY),
+            upper: DVector::repeat(n, f64::INFINITY),
+            noise,
+            noise_settings: NoiseSettings::default(),
+            annealing: None,
+            input_hold: InputHold::Zero,
+            covariance_form: CovarianceForm::Symmetric,
+        }
+    }
+
+    fn check(&self, model: &(impl ProcessModel + ObservationModel)) -> Result<(), FilterError> {
+        let n = model.state_len();
+        let vectors = [
+            ("prior mean", self.prior_mean.len()),
+            ("prior standard deviation", self.prior_std.len()),
+            ("variance bound", self.variance_bound.len()),
+            ("lower limit", self.lower.len()),
+            ("upper limit", self.upper.len()),
+        ];
+        for (what, found) in vectors {
+            if found != n {
+                return Err(FilterError::Dimension { what, found, expected: n });
+            }
+        }
+        if !(self.step_s > 0.0 && self.step_s.is_finite()) {
+            return Err(FilterError::Setting { what: "time step", found: self.step_s, allowed: "positive" });
+        }
+        for &std in &self.prior_std {
+            if !(std >= 0.0 && std.is_finite()) {
+                let what = "prior standard deviation";
+                return Err(FilterError::Setting { what, found: std, allowed: "finite and not negative" });
+            }
+        }
+        FadingFactor::new(self.noise_settings.fading)?;
+        self.noise.check(model.excitation_len(), model.observation_len())
+    }
+}
+
+/// One instant as the filter sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct Frame<'a> {
+    /// `z` (N_0, sensor units); NaN marks a missing channel.
+    pub observations: &'a [f64],
+    /// The known part of the excitation at this instant (N_f): 0 where it is not measured, NaN where its sample is missing.
+    pub excitation: &'a [f64],
+}
+
+/// What one step found; estimates are read from the filter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// `νᵀ S⁻¹ ν`, χ² with [`Step::used_channels`] degrees of freedom when all is right.
+    pub normalised_innovation_squared: f64,
+    /// `ln p(z | D)` of this frame.
+    pub log_evidence: f64,
+    /// Channels that took part; 0 makes the step a prediction.
+    pub used_channels: usize,
+    /// Entries of the state that had to be brought back to their limits.
+    pub limited_states: usize,
+    /// Variances that had reached their bound.
+    pub bounded_variances: usize,
+    /// Phase of the noise parameters after the step.
+    pub noise_phase: NoisePhase,
+    /// The training of the noise parameters ended at this step.
+    pub training_ended: bool,
+    /// The noise parameters went back to training at this step, because the innovations kept disagreeing with them.
+    pub training_restarted: bool,
+}
+
+/// The whole state of a filter between two steps: what a checkpoint holds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FilterState {
+    mean: DVector<f64>,
+    covariance: DMatrix<f64>,
+    noise: NoiseState,
+    steps: u64,
+    /// the coming frame finds the prior of the motion: it is not predicted
+    fresh: bool,
+    /// the known excitation of the last frame, NaN where it was missing (N_f)
+    last_excitation: DVector<f64>,
+    /// running mean square of the known excitation, for missing samples (N_f)
+    excitation_mean_square: DVector<f64>,
+    posterior: Option<ExcitationPosterior>,
+}
+
+/// A joint filter of state and parameters with fading memory and identified noise levels.
+///
+/// One call of [`ExtendedKalmanFilter::step`] is one time step; it allocates nothing and is deterministic to the bit. The
+/// first frame updates the prior without a prediction: the prior is for its instant.
+#[derive(Debug, Clone)]
+pub struct ExtendedKalmanFilter<M> {
+    model: M,
+    settings: FilterSettings,
+    state: FilterState,
+    work: Workspace,
+}
+
+#[derive(Debug, Clone)]
+struct Workspace {
+    discretise: discretise::Workspace,
+    update: update::Workspace,
+    objective: Objective,
+    /// P (n × n)
+    covariance: DMatrix<f64>,
+    /// y predicted (n)
+    mean: DVector<f64>,
+    /// [Γg, B] (n × (1 + N_f))
+    inputs: DMatrix<f64>,
+    /// B (n × N_f)
+    input_matrix: DMatrix<f64>,
+    /// H P (N_0 × n)
+    h_p: DMatrix<f64>,
+    /// P Hᵀ (n × N_0)
+    p_ht: DMatrix<f64>,
+    /// H B (N_0 × N_f)
+    h_b: DMatrix<f64>,
+    /// A C (n × N_f)
+    cross: DMatrix<f64>,
+    /// what of the predicted datum's covariance does not depend on ψ (N_0 × N_0)
+    frame_known: DMatrix<f64>,
+    /// Σ_f of the coming step and of the frame (N_f × N_f), Σ_n (N_0 × N_0)
+    step_excitation: DMatrix<f64>,
+    frame_excitation: DMatrix<f64>,
+    sensors: DMatrix<f64>,
+    /// known excitation at the older and the newer frame, and the older one with w̄ (N_f)
+    older: DVector<f64>,
+    newer: DVector<f64>,
+    /// B_y ḟ (n)
+    ramp: DVector<f64>,
+}
+
+impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
+    /// Makes a filter at its prior.
+    ///
+    /// # Errors
+    /// When a setting does not fit the model or lies outside its range.
+    pub fn new(model: M, settings: FilterSettings) -> Result<Self, FilterError> {
+        settings.check(&model)?;
+        let (n, channels, inputs) = (model.state_len(), model.observation_len(), model.excitation_len());
+        let work = Workspace {
+            discretise: discretise::Workspace::new(n, inputs),
+            update: update::Workspace::new(n, channels, settings.covariance_form),
+            objective: Objective::new(channels, settings.noise.parameters.len()),
+            covariance: DMatrix::zeros(n, n),
+            mean: DVector::zeros(n),
+            inputs: DMatrix::zeros(n, 1 + inputs),
+            input_matrix: DMatrix::zeros(n, inputs),
+            h_p: DMatrix::zeros(channels, n),
+            p_ht: DMatrix::zeros(n, channels),
+            h_b: DMatrix::zeros(channels, inputs),
+            cross: DMatrix::zeros(n, inputs),
+            frame_known: DMatrix::zeros(channels, channels),
+            step_excitation: DMatrix::zeros(inputs, inputs),
+            frame_excitation: DMatrix::zeros(inputs, inputs),
+            sensors: DMatrix::zeros(channels, channels),
+            older: DVector::zeros(inputs),
+            newer: DVector::zeros(inputs),
+            ramp: DVector::zeros(n),
+        };
+        let state = FilterState::start(&model, &settings);
+        Ok(Self { model, settings, state, work })
+    }
+
+    /// Goes back to the prior: what a diverged filter is left with.
+    pub fn restart(&mut self) {
+        self.state = FilterState::start(&self.model, &self.settings);
+    }
+
+    /// Forgets the motion and keeps the parameters and noise levels: after a gap too long to be bridged.
+    ///
+    /// The physical state goes back to its prior, uncorrelated with the parameters; the next frame updates it without a
+    /// prediction.
+    pub fn forget_motion(&mut self) {
+        let moving = self.model.state_len() - self.model.parameter_len();
+        let FilterState { mean, covariance, last_excitation, posterior, fresh, .. } = &mut self.state;
+        for j in 0..moving {
+            mean[j] = self.settings.prior_mean[j];
+            covariance.row_mut(j).fill(0.0);
+            covariance.column_mut(j).fill(0.0);
+            covariance[(j, j)] = self.settings.prior_std[j] * self.settings.prior_std[j];
+        }
+        last_excitation.fill(0.0);
+        if let Some(posterior) = posterior {
+            posterior.clear();
+        }
+        *fresh = true;
+    }
+
+    /// Takes one frame.
+    ///
+    /// # Errors
+    /// When the frame does not fit the model, which leaves the filter as it was, or when the filter has diverged and must
+    /// be restarted.
+    pub fn step(&mut self, frame: Frame<'_>) -> Result<Step, FilterError> {
+        self.check_frame(frame)?;
+        self.take_excitation(frame);
+        self.predict();
+        let noise_events = self.predict_observation(frame);
+        let used = update::leave_out_missing(&mut self.work.update, &mut self.work.h_p);
+        let evidence = update::factorise(&mut self.work.update, used)?;
+        update::correct(
+            &self.model,
+            &mut self.work.mean,
+            &mut self.work.covariance,
+            &mut self.work.h_p,
+            &self.work.sensors,
+            &mut self.work.update,
+        );
+        let limited_states = self.limit_state();
+        let bounded_variances = bound_variances_mut(&mut self.work.covariance, &self.settings.variance_bound);
+        self.check_result()?;
+        self.commit(frame);
+        Ok(Step {
+            normalised_innovation_squared: evidence.normalised_innovation_squared,
+            log_evidence: evidence.log_evidence,
+            used_channels: used,
+            limited_states,
+            bounded_variances,
+            noise_phase: self.state.noise.phase,
+            training_ended: noise_events.training_ended,
+            training_restarted: noise_events.training_restarted,
+        })
+    }
+
+    /// Returns the model.
+    pub fn model(&self) -> &M {
+        &self.model
+    }
+
+    /// Returns the settings.
+    pub fn settings(&self) -> &FilterSettings {
+        &self.settings
+    }
+
+    /// Returns the filtered state `y` (n).
+    pub fn mean(&self) -> &DVector<f64> {
+        &self.state.mean
+    }
+
+    /// Returns the covariance of the filtered state (n × n).
+    pub fn covariance(&self) -> &DMatrix<f64> {
+        &self.state.covariance
+    }
+
+    /// Returns what is known of the noise parameters.
+    pub fn noise(&self) -> &NoiseState {
+        &self.state.noise
+    }
+
+    /// Returns the innovation of the last step (N_0), NaN where a channel was missing.
+    pub fn innovation(&self) -> &DVector<f64> {
+        &self.work.update.innovation
+    }
+
+    /// Returns `S` of the last step (N_0 × N_0); rows of missing channels are those of the identity.
+    pub fn innovation_covariance(&self) -> &DMatrix<f64> {
+        &self.work.update.innovation_covariance
+    }
+
+    /// Returns the number of frames taken.
+    pub fn steps(&self) -> u64 {
+        self.state.steps
+    }
+
+    /// Returns the state for a checkpoint.
+    pub fn state(&self) -> &FilterState {
+        &self.state
+    }
+
+    /// Takes the state of a checkpoint; the next step gives the same bits as if the filter had never stopped.
+    ///
+    /// # Errors
+    /// When the state does not fit the model.
+    pub fn restore(&mut self, state: FilterState) -> Result<(), FilterError> {
+        let n = self.model.state_len();
+        let sizes = [
+            ("mean of a checkpoint", state.mean.len(), n),
+            ("covariance of a checkpoint", state.covariance.len(), n * n),
+            ("excitation of a checkpoint", state.last_excitation.len(), self.model.excitation_len()),
+            ("noise parameters of a checkpoint", state.noise.mean.len(), self.settings.noise.parameters.len()),
+        ];
+        for (what, found, expected) in sizes {
+            if found != expected {
+                return Err(FilterError::Dimension { what, found, expected });
+            }
+        }
+        self.state = state;
+        Ok(())
+    }
+
+    fn check_frame(&self, frame: Frame<'_>) -> Result<(), FilterError> {
+        let sizes = [
+            ("observations of a frame", frame.observations.len(), self.model.observation_len()),
+            ("excitation of a frame", frame.excitation.len(), self.model.excitation_len()),
+        ];
+        for (what, found, expected) in sizes {
+            if found != expected {
+                return Err(FilterError::Dimension { what, found, expected });
+            }
+        }
+        Ok(())
+    }
+
+    /// Sorts out what is known of the excitation at both ends of the step, and writes its covariances.
+    fn take_excitation(&mut self, frame: Frame<'_>) {
+        let Self { state, work, .. } = self;
+        for j in 0..work.older.len() {
+            let (older, newer) = (state.last_excitation[j], frame.excitation[j]);
+            work.older[j] = if older.is_nan() { 0.0 } else { older };
+            work.newer[j] = if newer.is_nan() { 0.0 } else { newer };
+        }
+    }
+
+    /// Writes `Σ_f` of the coming step and of the frame, and `Σ_n`, for the noise parameters as they now are.
+    fn write_noise_covariances(&mut self, frame: Frame<'_>) {
+        let Self { settings, state, work, .. } = self;
+        let psi = &state.noise.mean;
+        settings.noise.covariance_to(NoiseTarget::Sensors, psi, &mut work.sensors);
+        settings.noise.covariance_to(NoiseTarget::Excitation, psi, &mut work.step_excitation);
+        work.frame_excitation.copy_from(&work.step_excitation);
+        for j in 0..work.older.len() {
+            // a missing sample of a measured excitation is as uncertain as the excitation itself is large
+            let mean_square = state.excitation_mean_square[j];
+            if state.last_excitation[j].is_nan() {
+                work.step_excitation[(j, j)] += mean_square;
+            }
+            if frame.excitation[j].is_nan() {
+                work.frame_excitation[(j, j)] += mean_square;
+            }
+        }
+    }
+
+    /// Writes mean, `λ A Σ Aᵀ` and `B` of the coming instant; the first frame finds the prior.
+    fn predict(&mut self) {
+        let Self { model, settings, state, work } = self;
+        work.mean.copy_from(&state.mean);
+        if state.fresh {
+            work.covariance.copy_from(&state.covariance);
+            work.input_matrix.fill(0.0);
+            return;
+        }
+        if let Some(posterior) = &state.posterior {
+            work.older += &posterior.mean;
+        }
+        model.linearise_process(state.mean.as_slice(), work.older.as_slice());
+        model.excitation_matrix(&mut work.input_matrix);
+        let n = work.mean.len();
+        model.derivative(&mut work.inputs.as_mut_slice()[..n]);
+        work.inputs.as_mut_slice()[n..].copy_from_slice(work.input_matrix.as_slice());
+        let ramp = (settings.input_hold == InputHold::First).then(|| {
+            work.older.axpy(1.0, &work.newer, -1.0); // the slope, per step
+            work.ramp.gemv(1.0 / settings.step_s, &work.input_matrix, &work.older, 0.0);
+            work.ramp.as_slice()
+        });
+        let series = Series::choose(model.rate_bound(), settings.step_s);
+        discretise::integrate_inputs(model, settings.step_s, series, &mut work.inputs, ramp, &mut work.discretise);
+        for (mean, increment) in work.mean.iter_mut().zip(&work.inputs.as_slice()[..n]) {
+            *mean += increment; // y ← y + Γ g                                      (2.67)
+        }
+        work.input_matrix.as_mut_slice().copy_from_slice(&work.inputs.as_slice()[n..]); // B = Γ B_y
+        discretise::propagate_covariance(
+            model,
+            settings.step_s,
+            series,
+            &state.covariance,
+            &mut work.covariance,
+            &mut work.discretise,
+        );
+        if let Some(ExcitationPosterior { covariance, cross, .. }) = &state.posterior {
+            // A Σ Aᵀ + A C Bᵀ + B Cᵀ Aᵀ + B W Bᵀ: the sensors have already felt the excitation of this step
+            work.cross.copy_from(cross);
+            discretise::transition_mul_narrow(model, settings.step_s, series, &mut work.cross, &mut work.discretise);
+            for b in 0..work.cross.ncols() {
+                for j in 0..n {
+                    for i in 0..n {
+                        work.covariance[(i, j)] += work.cross[(i, b)] * work.input_matrix[(j, b)]
+                            + work.input_matrix[(i, b)] * work.cross[(j, b)];
+                    }
+                }
+            }
+            add_quadratic_form_mut(&mut work.covariance, &work.input_matrix, covariance, 1.0);
+        }
+        work.covariance *= settings.fading.value();
+        symmetrise_mut(&mut work.covariance);
+    }
+
+    /// Writes innovation, `S`, `H P` and `P`, and moves the noise parameters in between.
+    fn predict_observation(&mut self, frame: Frame<'_>) -> NoiseEvents {
+        let Self { model, work, .. } = self;
+        model.linearise_observation(work.mean.as_slice(), work.newer.as_slice());
+        model.observe(work.update.innovation.as_mut_slice());
+        for (innovation, datum) in work.update.innovation.iter_mut().zip(frame.observations) {
+            *innovation = datum - *innovation; // NaN where the channel is missing
+        }
+        model.observation_jacobian_mul(&work.covariance, &mut work.h_p);
+        work.h_p.transpose_to(&mut work.p_ht); // P Hᵀ, because P is symmetric
+        model.observation_jacobian_mul(&work.p_ht, &mut work.update.innovation_covariance); // S₀
+        symmetrise_mut(&mut work.update.innovation_covariance);
+        model.observation_jacobian_mul(&work.input_matrix, &mut work.h_b);
+
+        let events = self.update_noise(frame);
+        self.write_noise_covariances(frame);
+        self.add_noises();
+        events
+    }
+
+    /// Moves the noise parameters by what this frame says of them.
+    fn update_noise(&mut self, frame: Frame<'_>) -> NoiseEvents {
+        if self.settings.noise.parameters.is_empty() || self.settings.noise_settings.rule == NoiseRule::Fixed {
+            return NoiseEvents::default();
+        }
+        let Self { model, settings, state, work } = self;
+        let lambda = settings.fading.value();
+        // What the excitation of this step adds is already in S₀ when the frame before has told of it.
+        let felt = state.posterior.is_some() && !state.fresh;
+        let h_b = (!felt).then_some(&work.h_b);
+        let objective = &mut work.objective;
+        let known = &mut work.frame_known;
+        known.copy_from(&work.update.innovation_covariance);
+        *known += &settings.noise.sensors;
+        work.step_excitation.copy_from(&settings.noise.excitation);
+        work.frame_excitation.copy_from(&settings.noise.excitation);
+        for j in 0..work.older.len() {
+            if state.last_excitation[j].is_nan() {
+                work.step_excitation[(j, j)] += state.excitation_mean_square[j];
+            }
+            if frame.excitation[j].is_nan() {
+                work.frame_excitation[(j, j)] += state.excitation_mean_square[j];
+            }
+        }
+        if let Some(h_b) = h_b {
+            add_quadratic_form_mut(known, h_b, &work.step_excitation, lambda);
+        }
+        if let Some(direct) = model.feedthrough() {
+            add_quadratic_form_mut(known, direct, &work.frame_excitation, 1.0);
+        }
+        objective.set_frame(&settings.noise, known, h_b, model.feedthrough(), lambda, &work.update.innovation);
+        state.noise.update(&settings.noise, &settings.noise_settings, objective)
+    }
+
+    /// Adds the noises to `P`, `H P` and `S`.
+    fn add_noises(&mut self) {
+        let Self { model, settings, state, work } = self;
+        let lambda = settings.fading.value();
+        let felt = state.posterior.is_some() && !state.fresh;
+        let innovation_covariance = &mut work.update.innovation_covariance;
+        if !felt {
+            add_quadratic_form_mut(&mut work.covariance, &work.input_matrix, &work.step_excitation, lambda);
+            add_quadratic_form_mut(innovation_covariance, &work.h_b, &work.step_excitation, lambda);
+            for b in 0..work.step_excitation.ncols() {
+                for a in 0..work.step_excitation.nrows() {
+                    let weight = lambda * work.step_excitation[(a, b)];
+                    for j in 0..work.h_p.ncols() {
+                        let right = weight * work.input_matrix[(j, b)];
+                        for i in 0..work.h_p.nrows() {
+                            work.h_p[(i, j)] += work.h_b[(i, a)] * right; // H B Σ_f Bᵀ
+                        }
+                    }
+                }
+            }
+        }
+        if let Some(direct) = model.feedthrough() {
+            add_quadratic_form_mut(innovation_covariance, direct, &work.frame_excitation, 1.0);
+        }
+        if let Some(Annealing { amount, time_constant_s }) = settings.annealing {
+            let elapsed_s = state.steps as f64 * settings.step_s;
+            work.sensors *= 1.0 + amount * (-elapsed_s / time_constant_s).exp();
+        }
+        *innovation_covariance += &work.sensors;
+    }
+
+    /// Brings entries of the state back to their limits; the covariance stays.
+    fn limit_state(&mut self) -> usize {
+        let Self { settings, work, .. } = self;
+        let mut limited = 0;
+        for j in 0..work.mean.len() {
+            let inside = work.mean[j].clamp(settings.lower[j], settings.upper[j]);
+            // NaN is no reason to count here: the check of the result finds it
+            if inside != work.mean[j] && !work.mean[j].is_nan() {
+                work.mean[j] = inside;
+                limited += 1;
+            }
+        }
+        limited
+    }
+
+    fn check_result(&mut self) -> Result<(), FilterError> {
+        let work = &mut self.work;
+        for index in 0..work.mean.len() {
+            if !work.mean[index].is_finite() {
+                return Err(FilterError::NotFinite { what: "mean", index });
+            }
+            let variance = work.covariance[(index, index)];
+            if !variance.is_finite() {
+                return Err(FilterError::NotFinite { what: "variance", index });
+            }
+            if variance < 0.0 {
+                let largest = work.covariance.diagonal().max();
+                if variance < -ROUNDING * largest {
+                    return Err(FilterError::NegativeVariance { index, variance });
+                }
+                work.covariance[(index, index)] = 0.0;
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes the result of the step the state.
+    fn commit(&mut self, frame: Frame<'_>) {
+        let Self { model, settings, state, work } = self;
+        if let (Some(direct), Some(posterior)) = (model.feedthrough(), &mut state.posterior) {
+            update::infer_excitation(direct, &work.frame_excitation, &work.h_p, &work.update, posterior);
+        }
+        state.mean.copy_from(&work.mean);
+        state.covariance.copy_from(&work.covariance);
+        let weight = 1.0 / (state.steps as f64 + 1.0).min(settings.fading.memory_steps());
+        for j in 0..state.last_excitation.len() {
+            let known = frame.excitation[j];
+            state.last_excitation[j] = known;
+            if !known.is_nan() {
+                state.excitation_mean_square[j] += weight * (known * known - state.excitation_mean_square[j]);
+            }
+        }
+        state.steps += 1;
+        state.fresh = false;
+    }
+}
+
+impl FilterState {
+    fn start(model: &(impl ProcessModel + ObservationModel), settings: &FilterSettings) -> Self {
+        let (n, inputs) = (model.state_len(), model.excitation_len());
+        Self {
+            mean: settings.prior_mean.clone(),
+            covariance: DMatrix::from_diagonal(&settings.prior_std.map(|std| std * std)),
+            noise: NoiseState::start(&settings.noise, &settings.noise_settings),
+            steps: 0,
+            fresh: true,
+            last_excitation: DVector::zeros(inputs),
+            excitation_mean_square: DVector::zeros(inputs),
+            posterior: model.feedthrough().map(|direct| ExcitationPosterior::new(n, direct.nrows(), inputs)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,273 @@
+use super::*;
+use crate::kalman::{KalmanFilter, LinearModel};
+
+/// A linear system without parameters, sparse enough to be checked by hand: two coupled oscillators, both sensed.
+#[derive(Debug, Clone)]
+struct Linear {
+    system: DMatrix<f64>,
+    input: DMatrix<f64>,
+    observation: DMatrix<f64>,
+    direct: Option<DMatrix<f64>>,
+    state: DVector<f64>,
+    excitation: DVector<f64>,
+}
+
+fn two_oscillators() -> Linear {
+    let system = DMatrix::from_row_slice(
+        4,
+        4,
+        &[0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, -50.0, 20.0, -0.4, 0.1, 20.0, -30.0, 0.1, -0.3],
+    );
+    let input = DMatrix::from_row_slice(4, 1, &[0.0, 0.0, 1.0, 1.0]);
+    let observation = DMatrix::from_row_slice(2, 4, &[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+    Linear { state: DVector::zeros(4), excitation: DVector::zeros(1), system, input, observation, direct: None }
+}
+
+impl ProcessModel for Linear {
+    fn state_len(&self) -> usize {
+        self.system.nrows()
+    }
+    fn parameter_len(&self) -> usize {
+        0
+    }
+    fn excitation_len(&self) -> usize {
+        self.input.ncols()
+    }
+    fn linearise_process(&mut self, state: &[f64], excitation: &[f64]) {
+        self.state.copy_from_slice(state);
+        self.excitation.copy_from_slice(excitation);
+    }
+    fn derivative(&self, out: &mut [f64]) {
+        out.copy_from_slice((&self.system * &self.state + &self.input * &self.excitation).as_slice());
+    }
+    fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+        out.copy_from(&(&self.system * columns));
+    }
+    fn excitation_matrix(&self, out: &mut DMatrix<f64>) {
+        out.copy_from(&self.input);
+    }
+    fn rate_bound(&self) -> f64 {
+        10.0
+    }
+}
+
+impl ObservationModel for Linear {
+    fn observation_len(&self) -> usize {
+        self.observation.nrows()
+    }
+    fn linearise_observation(&mut self, state: &[f64], excitation: &[f64]) {
+        self.state.copy_from_slice(state);
+        self.excitation.copy_from_slice(excitation);
+    }
+    fn observe(&self, out: &mut [f64]) {
+        let mut observed = &self.observation * &self.state;
+        if let Some(direct) = &self.direct {
+            observed += direct * &self.excitation;
+        }
+        out.copy_from_slice(observed.as_slice());
+    }
+    fn observation_jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+        out.copy_from(&(&self.observation * columns));
+    }
+    fn feedthrough(&self) -> Option<&DMatrix<f64>> {
+        self.direct.as_ref()
+    }
+}
+
+fn settings() -> FilterSettings {
+    let noise = NoiseModel::known(DMatrix::from_element(1, 1, 0.5), DMatrix::identity(2, 2) * 1e-4);
+    FilterSettings::new(0.01, DVector::zeros(4), DVector::repeat(4, 0.1), noise)
+}
+
+fn datum(k: usize) -> [f64; 2] {
+    [(0.3 * k as f64).sin() * 0.02, (0.17 * k as f64).cos() * 0.1]
+}
+
+fn run(filter: &mut ExtendedKalmanFilter<Linear>, frames: std::ops::Range<usize>) {
+    for k in frames {
+        filter.step(Frame { observations: &datum(k), excitation: &[0.0] }).unwrap();
+    }
+}
+
+#[test]
+fn without_parameters_and_fading_it_is_the_kalman_filter() {
+    // ch2 §5 check 3
+    let linear = two_oscillators();
+    let (transition, input) = LinearModel::discretise(&linear.system, &linear.input, 0.01);
+    let mut plain = KalmanFilter::new(
+        LinearModel {
+            transition,
+            input,
+            observation: linear.observation.clone(),
+            excitation_covariance: DMatrix::from_element(1, 1, 0.5),
+            sensor_covariance: DMatrix::identity(2, 2) * 1e-4,
+        },
+        DVector::zeros(4),
+        DMatrix::identity(4, 4) * 0.01,
+    )
+    .unwrap();
+    let mut extended = ExtendedKalmanFilter::new(linear, settings()).unwrap();
+    for k in 0..500 {
+        if k > 0 {
+            plain.predict(&[0.0]);
+        }
+        let reference = plain.update(&datum(k)).unwrap();
+        let step = extended.step(Frame { observations: &datum(k), excitation: &[0.0] }).unwrap();
+        assert!((extended.mean() - plain.mean()).amax() < 1e-12, "mean at step {k}");
+        assert!((extended.covariance() - plain.covariance()).amax() < 1e-13, "covariance at step {k}");
+        assert!((step.log_evidence - reference.log_evidence).abs() < 1e-8 * reference.log_evidence.abs());
+    }
+}
+
+#[test]
+fn fading_by_one_is_no_fading_to_the_bit() {
+    // ch2 §5 check 3
+    let mut plain = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+    let mut faded = settings();
+    faded.fading = FadingFactor::new(1.0).unwrap();
+    let mut faded = ExtendedKalmanFilter::new(two_oscillators(), faded).unwrap();
+    run(&mut plain, 0..200);
+    run(&mut faded, 0..200);
+    assert_eq!(plain.state(), faded.state());
+}
+
+#[test]
+fn joseph_form_agrees_with_the_symmetric_form() {
+    // ch2 §5 check 1
+    let mut joseph = settings();
+    joseph.covariance_form = CovarianceForm::Joseph;
+    let mut joseph = ExtendedKalmanFilter::new(two_oscillators(), joseph).unwrap();
+    let mut symmetric = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+    run(&mut joseph, 0..200);
+    run(&mut symmetric, 0..200);
+    assert!((joseph.covariance() - symmetric.covariance()).amax() < 1e-12);
+    assert!((joseph.mean() - symmetric.mean()).amax() < 1e-12);
+}
+
+#[test]
+fn missing_channel_is_a_channel_of_infinite_variance() {
+    let mut missing = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+    let mut wide = settings();
+    wide.noise.sensors[(1, 1)] = 1e18;
+    let mut wide = ExtendedKalmanFilter::new(two_oscillators(), wide).unwrap();
+    for k in 0..100 {
+        let [first, second] = datum(k);
+        let step = missing.step(Frame { observations: &[first, f64::NAN], excitation: &[0.0] }).unwrap();
+        assert_eq!(step.used_channels, 1);
+        wide.step(Frame { observations: &[first, second], excitation: &[0.0] }).unwrap();
+    }
+    assert!((missing.mean() - wide.mean()).amax() < 1e-9);
+    assert!((missing.covariance() - wide.covariance()).amax() < 1e-9);
+}
+
+#[test]
+fn frame_without_channels_is_a_prediction() {
+    let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+    run(&mut filter, 0..50);
+    let before = filter.mean().clone();
+    let step = filter.step(Frame { observations: &[f64::NAN; 2], excitation: &[0.0] }).unwrap();
+    assert_eq!((step.used_channels, step.log_evidence), (0, 0.0));
+    let linear = two_oscillators();
+    let (transition, _) = LinearModel::discretise(&linear.system, &linear.input, 0.01);
+    assert!((filter.mean() - transition * before).amax() < 1e-13);
+}
+
+#[test]
+fn checkpoint_gives_the_same_bits_as_an_unbroken_run() {
+    let mut unbroken = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+    run(&mut unbroken, 0..300);
+    let mut first = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+    run(&mut first, 0..117);
+    let bytes = postcard::to_stdvec(first.state()).unwrap();
+    let mut second = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+    second.restore(postcard::from_bytes(&bytes).unwrap()).unwrap();
+    run(&mut second, 117..300);
+    assert_eq!(unbroken.state(), second.state());
+}
+
+#[test]
+fn direct_term_agrees_with_an_augmented_kalman_filter() {
+    // The second route: the excitation of the coming step as a state of its own, renewed at every step.
+    let mut linear = two_oscillators();
+    let direct = DMatrix::from_row_slice(2, 1, &[0.0, 0.8]);
+    linear.direct = Some(direct.clone());
+    let (transition, input) = LinearModel::discretise(&linear.system, &linear.input, 0.01);
+    let mut augmented = DMatrix::zeros(5, 5);
+    augmented.view_mut((0, 0), (4, 4)).copy_from(&transition);
+    augmented.view_mut((0, 4), (4, 1)).copy_from(&input);
+    let mut observation = DMatrix::zeros(2, 5);
+    observation.view_mut((0, 0), (2, 4)).copy_from(&linear.observation);
+    observation.view_mut((0, 4), (2, 1)).copy_from(&direct);
+    let mut prior = DMatrix::identity(5, 5) * 0.01;
+    prior[(4, 4)] = 0.5;
+    let mut reference = KalmanFilter::new(
+        LinearModel {
+            transition: augmented,
+            input: DMatrix::from_row_slice(5, 1, &[0.0, 0.0, 0.0, 0.0, 1.0]),
+            observation,
+            excitation_covariance: DMatrix::from_element(1, 1, 0.5),
+            sensor_covariance: DMatrix::identity(2, 2) * 1e-4,
+        },
+        DVector::zeros(5),
+        prior,
+    )
+    .unwrap();
+    let mut filter = ExtendedKalmanFilter::new(linear, settings()).unwrap();
+    for k in 0..300 {
+        if k > 0 {
+            reference.predict(&[0.0]);
+        }
+        reference.update(&datum(k)).unwrap();
+        filter.step(Frame { observations: &datum(k), excitation: &[0.0] }).unwrap();
+        assert!((filter.mean() - reference.mean().rows(0, 4)).amax() < 1e-11, "mean at step {k}");
+        let covariance = reference.covariance().view((0, 0), (4, 4)).into_owned();
+        assert!((filter.covariance() - covariance).amax() < 1e-12, "covariance at step {k}");
+    }
+}
+
+#[test]
+fn known_excitation_moves_the_prediction() {
+    let linear = two_oscillators();
+    let (transition, input) = LinearModel::discretise(&linear.system, &linear.input, 0.01);
+    let mut filter = ExtendedKalmanFilter::new(linear, settings()).unwrap();
+    let none = [f64::NAN; 2];
+    filter.step(Frame { observations: &none, excitation: &[2.0] }).unwrap();
+    filter.step(Frame { observations: &none, excitation: &[-1.0] }).unwrap();
+    assert!((filter.mean() - &input * 2.0).amax() < 1e-14);
+    let expected = transition * filter.mean() - &input;
+    filter.step(Frame { observations: &none, excitation: &[0.0] }).unwrap();
+    assert!((filter.mean() - expected).amax() < 1e-14);
+}
+
+#[test]
+fn quiet_stretch_does_not_wind_up() {
+    let mut settings = settings();
+    settings.fading = FadingFactor::from_half_life(20.0).unwrap();
+    settings.variance_bound = DVector::repeat(4, 0.04);
+    let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings).unwrap();
+    for _ in 0..5000 {
+        filter.step(Frame { observations: &[f64::NAN; 2], excitation: &[0.0] }).unwrap();
+    }
+    assert!(filter.covariance().diagonal().max() <= 0.04);
+}
+
+#[test]
+fn frame_of_the_wrong_size_is_refused_and_leaves_the_filter_as_it_was() {
+    let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+    run(&mut filter, 0..10);
+    let before = filter.state().clone();
+    let error = filter.step(Frame { observations: &[0.0; 3], excitation: &[0.0] }).unwrap_err();
+    assert_eq!(error, FilterError::Dimension { what: "observations of a frame", found: 3, expected: 2 });
+    assert_eq!(&before, filter.state());
+}
+
+#[test]
+fn absurd_datum_is_an_error_and_not_a_published_nan() {
+    let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+    run(&mut filter, 0..10);
+    let error = filter.step(Frame { observations: &[f64::INFINITY, 0.0], excitation: &[0.0] }).unwrap_err();
+    assert!(matches!(error, FilterError::NotFinite { what: "mean", .. }), "{error}");
+    filter.restart();
+    run(&mut filter, 0..10);
+    assert!(filter.mean().iter().all(|entry| entry.is_finite()));
+}

@@ -1,0 +1,39 @@
+//! Identifies a dynamical system while it runs: its state, its parameters and the levels of its noises, each with its
+//! uncertainty.
+//!
+//! A system is described by two traits, [`ProcessModel`] (how its state moves) and [`ObservationModel`] (what is observed
+//! of it), whose Jacobians are operators. Frames of samples go in, one call a time step; estimates with covariance come
+//! out. The method is that of Huang & Yuen, *Bayesian Real-Time System Identification* (2023).
+//!
+//! - [`model`]: the two traits
+//! - [`fading`]: how old data are forgotten
+//! - [`noise`]: the noise levels and how they are identified
+//! - [`discretise`]: one time step without inverting the Jacobian
+//! - [`update`]: the forms of the measurement update
+//! - [`extended`]: the adaptive extended Kalman filter, the chain of these stages
+//! - [`kalman`]: the plain Kalman filter of a known linear system
+//! - [`band_limit`]: the low-pass that is the same on every channel
+//!
+//! This room knows nothing of structures or of the network; for a filter of a structure see `spandrel-structure`.
+
+mod dense;
+pub mod error;
+pub mod model;
+
+pub mod band_limit;
+pub mod discretise;
+pub mod extended;
+pub mod fading;
+pub mod kalman;
+pub mod noise;
+pub mod update;
+
+pub use band_limit::BandLimit;
+pub use discretise::InputHold;
+pub use error::FilterError;
+pub use extended::{Annealing, ExtendedKalmanFilter, FilterSettings, FilterState, Frame, Step};
+pub use fading::FadingFactor;
+pub use kalman::{KalmanFilter, LinearModel};
+pub use model::{ObservationModel, ProcessModel};
+pub use noise::{NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget};
+pub use update::CovarianceForm;

@@ -1,0 +1,61 @@
+//! The two traits that describe a system to a filter: how its state moves, and what is observed of it.
+//!
+//! Notation: Huang & Yuen (2023), chapter 2. The state `y` holds the physical state first and the identified
+//! parameters `θ` last; `f` is the excitation, held over a step. Jacobians are operators: a model multiplies them with
+//! given columns and never hands out a dense matrix, because the Jacobian of a structure is sparse.
+
+use nalgebra::DMatrix;
+
+/// Says how the state moves: `ẏ = g(y, f)`, equation (2.47).
+///
+/// A model is linearised at a point first and answers for that point until the next call. None of the calls may
+/// allocate: they run at every time step.
+pub trait ProcessModel {
+    /// Returns `n`, the length of the state with its parameters.
+    fn state_len(&self) -> usize;
+
+    /// Returns `N_θ`: that many entries at the end of the state stand still in the prediction.
+    fn parameter_len(&self) -> usize;
+
+    /// Returns `N_f`, the number of components of the excitation.
+    fn excitation_len(&self) -> usize;
+
+    /// Sets the point for the other calls: `state` (n) and the known part of the excitation (N_f, 0 where unknown).
+    fn linearise_process(&mut self, state: &[f64], excitation: &[f64]);
+
+    /// Writes `g(y, f)` (n, state units per second).
+    fn derivative(&self, out: &mut [f64]);
+
+    /// Writes `A_y X` (n × c, 1/s) for given columns `X` (n × c), equation (2.50); overwrites all of `out`.
+    ///
+    /// The last `N_θ` rows are zero. `c` may differ from call to call.
+    fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>);
+
+    /// Writes `B_y = ∂g/∂f` (n × N_f), equation (2.51) with the sign of (2.45).
+    fn excitation_matrix(&self, out: &mut DMatrix<f64>);
+
+    /// Returns an upper bound of the spectral radius of `A_y` (1/s): it sets the length of the series for `exp(A_y Δt)`.
+    fn rate_bound(&self) -> f64;
+}
+
+/// Says what is observed of the state: `z = h(y, f) + D w + n`, equation (2.57) with a direct term.
+///
+/// `f` is the known part of the excitation and `w` its unknown part. The direct term `D` is zero for displacements,
+/// velocities and absolute accelerations under ground motion; a force on a sensed mass and relative accelerations
+/// have one.
+pub trait ObservationModel {
+    /// Returns `N_0`, the number of observed channels.
+    fn observation_len(&self) -> usize;
+
+    /// Sets the point for the other calls, as in [`ProcessModel::linearise_process`].
+    fn linearise_observation(&mut self, state: &[f64], excitation: &[f64]);
+
+    /// Writes `h(y, f)` (N_0, sensor units), the direct effect of the known excitation included.
+    fn observe(&self, out: &mut [f64]);
+
+    /// Writes `H X` (N_0 × c) for given columns `X` (n × c), equation (2.64); overwrites all of `out`.
+    fn observation_jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>);
+
+    /// Returns `D` (N_0 × N_f), or `None` when it is zero.
+    fn feedthrough(&self) -> Option<&DMatrix<f64>>;
+}

@@ -1,0 +1,370 @@
+//! What is known of the noises, and how their levels are identified while the filter runs.
+//!
+//! Notation: Huang & Yuen (2023), chapter 3. `ψ` are the noise parameters, `Σ_ψ` their covariance, `e` the innovation and
+//! `Σ_z(ψ) = S₀ + Σ_l ψ_l U_l` (3.26) the covariance of the predicted datum, linear in `ψ`. With `L Lᵀ = Σ_z` every
+//! derivative of the objective `J` (3.28) follows from `V_l = L⁻¹ U_l L⁻ᵀ` and `ẽ = L⁻¹ e`.
+
+mod objective;
+mod training;
+mod working;
+
+use crate::error::FilterError;
+use nalgebra::{DMatrix, DVector};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use serde::{Deserialize, Serialize};
+
+pub(crate) use objective::Objective;
+
+/// Which covariance a noise parameter scales.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum NoiseTarget {
+    /// `Σ_f`, the covariance of the excitation samples (N_f × N_f).
+    Excitation,
+    /// `Σ_n`, the covariance of the measurement noise (N_0 × N_0).
+    Sensors,
+}
+
+/// One identified noise level: the target covariance contains `ψ · pattern`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NoiseParameter {
+    /// Its name.
+    pub name: String,
+    /// The covariance that it scales.
+    pub target: NoiseTarget,
+    /// The symmetric positive semidefinite matrix that it multiplies (N_f × N_f or N_0 × N_0).
+    pub pattern: DMatrix<f64>,
+    /// The value at the start; positive.
+    pub start: f64,
+    /// The standard deviation at the start (same unit).
+    pub start_std: f64,
+}
+
+/// The covariances of both noises: a known part and the identified levels.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NoiseModel {
+    /// The known part of `Σ_f` (N_f × N_f, excitation unit²).
+    pub excitation: DMatrix<f64>,
+    /// The known part of `Σ_n` (N_0 × N_0, sensor unit²).
+    pub sensors: DMatrix<f64>,
+    /// The identified levels; empty when all is known.
+    pub parameters: Vec<NoiseParameter>,
+}
+
+impl NoiseModel {
+    /// Makes a model of known noises.
+    #[must_use]
+    pub fn known(excitation: DMatrix<f64>, sensors: DMatrix<f64>) -> Self {
+        Self { excitation, sensors, parameters: Vec::new() }
+    }
+
+    pub(crate) fn check(&self, excitation_len: usize, observation_len: usize) -> Result<(), FilterError> {
+        check_square("noise covariance of the excitation", &self.excitation, excitation_len)?;
+        check_square("noise covariance of the sensors", &self.sensors, observation_len)?;
+        for parameter in &self.parameters {
+            let expected = match parameter.target {
+                NoiseTarget::Excitation => excitation_len,
+                NoiseTarget::Sensors => observation_len,
+            };
+            check_square("pattern of a noise parameter", &parameter.pattern, expected)?;
+            // a start of zero could never move: candidates and steps are multiplicative
+            check_positive("start of a noise parameter", parameter.start)?;
+            check_positive("standard deviation of a noise parameter", parameter.start_std)?;
+        }
+        Ok(())
+    }
+
+    /// Writes a whole covariance for the noise parameters `psi`.
+    pub(crate) fn covariance_to(&self, target: NoiseTarget, psi: &DVector<f64>, out: &mut DMatrix<f64>) {
+        out.copy_from(match target {
+            NoiseTarget::Excitation => &self.excitation,
+            NoiseTarget::Sensors => &self.sensors,
+        });
+        for (parameter, level) in self.parameters.iter().zip(psi.iter()) {
+            if parameter.target == target {
+                for (entry, pattern) in out.iter_mut().zip(parameter.pattern.iter()) {
+                    *entry += level * pattern;
+                }
+            }
+        }
+    }
+}
+
+fn check_square(what: &'static str, matrix: &DMatrix<f64>, expected: usize) -> Result<(), FilterError> {
+    for found in [matrix.nrows(), matrix.ncols()] {
+        if found != expected {
+            return Err(FilterError::Dimension { what, found, expected });
+        }
+    }
+    Ok(())
+}
+
+fn check_positive(what: &'static str, found: f64) -> Result<(), FilterError> {
+    if found > 0.0 && found.is_finite() {
+        Ok(())
+    } else {
+        Err(FilterError::Setting { what, found, allowed: "positive" })
+    }
+}
+
+/// How the noise parameters move in the working phase.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum NoiseRule {
+    /// They stay at their start.
+    Fixed,
+    /// One Newton-like step per sample with the observed Hessian, (3.33) to (3.38).
+    Published,
+    /// One scoring step per sample in the logarithm of the parameters, with the expected information.
+    ///
+    /// The observed Hessian gains false information from a single large innovation (its likelihood part grows with
+    /// `e²`), its gain freezes, and bursts of shaking then diverge. The expected information cannot be fooled so.
+    Fisher,
+}
+
+/// Settings of the identification of the noise parameters.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NoiseSettings {
+    /// The rule of the working phase.
+    pub rule: NoiseRule,
+    /// Fading factor of the noise parameters, at least 1.
+    pub fading: f64,
+    /// Steps before which training cannot end: INT(10 T/Δt), (3.31).
+    pub training_steps: u64,
+    /// Steps after which training ends without waiting for ten unchanged estimates; 0 means never.
+    pub training_limit_steps: u64,
+    /// `N_τ`, the number of candidates of the local search, the incumbent included.
+    pub candidates: usize,
+    /// `σ_τ`, the relative step of the local search.
+    pub relative_step: f64,
+    /// No noise parameter falls below this share of its start.
+    ///
+    /// Where the model explains a motion only in part, a level that was learnt in a quiet hour makes the filter believe
+    /// the first seconds of shaking far too much.
+    pub floor: f64,
+    /// Seed of the local search.
+    pub seed: u64,
+}
+
+impl Default for NoiseSettings {
+    fn default() -> Self {
+        Self {
+            rule: NoiseRule::Fisher,
+            fading: 2f64.powf(1.0 / 1000.0),
+            training_steps: 0,
+            training_limit_steps: 0,
+            candidates: 20,
+            relative_step: 1.0 / 256.0,
+            floor: 1e-14,
+            seed: 0,
+        }
+    }
+}
+
+/// Where the identification of the noise parameters stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum NoisePhase {
+    /// The local search of (3.30) to (3.32).
+    Training,
+    /// One step per sample.
+    Working,
+}
+
+/// What happened to the noise parameters at one step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct NoiseEvents {
+    /// Training ended at this step.
+    pub training_ended: bool,
+    /// The innovations had disagreed with their covariance for so long that training began anew.
+    pub training_restarted: bool,
+}
+
+/// Estimates of the noise parameters, with all that a later step needs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NoiseState {
+    /// `ψ` (N_ψ).
+    pub mean: DVector<f64>,
+    /// `Σ_ψ` (N_ψ × N_ψ).
+    pub covariance: DMatrix<f64>,
+    /// The phase.
+    pub phase: NoisePhase,
+    /// Steps of the training at which the Hessian was not positive definite and `Σ_ψ` stayed as it was.
+    pub fallbacks: u64,
+    /// The same in the working phase, where it should not happen.
+    pub working_fallbacks: u64,
+    /// Steps of the working phase that were shortened.
+    pub limited: u64,
+    training_step: u64,
+    unchanged: u32,
+    floored: bool,
+    misfit: Misfit,
+    rng: ChaCha8Rng,
+}
+
+/// Watches whether the innovations keep agreeing with their covariance.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
+struct Misfit {
+    /// Running mean of the normalised innovation squared per channel; 1 when all is right.
+    mean: f64,
+    /// Steps for which it has been outside [`MISFIT_RANGE`].
+    steps: u64,
+}
+
+/// Outside this range the mean of the normalised innovation squared per channel is no scatter.
+const MISFIT_RANGE: (f64, f64) = (0.1, 10.0);
+
+/// Training under [`NoiseRule::Fisher`] may end while that mean lies in this range.
+const SETTLED_RANGE: (f64, f64) = (0.5, 2.0);
+
+/// Training may end only below this relative standard deviation of every noise parameter.
+const TRAINED_RELATIVE_STD: f64 = 0.10;
+
+/// Length of training and window of the misfit when no fundamental period is given, steps.
+const LEAST_WINDOW_STEPS: u64 = 100;
+
+impl NoiseState {
+    pub(crate) fn start(model: &NoiseModel, settings: &NoiseSettings) -> Self {
+        let count = model.parameters.len();
+        let mut state = Self {
+            mean: DVector::from_fn(count, |l, _| model.parameters[l].start),
+            covariance: DMatrix::zeros(count, count),
+            phase: NoisePhase::Training,
+            fallbacks: 0,
+            working_fallbacks: 0,
+            limited: 0,
+            training_step: 0,
+            unchanged: 0,
+            floored: false,
+            misfit: Misfit { mean: 1.0, steps: 0 },
+            rng: ChaCha8Rng::seed_from_u64(settings.seed),
+        };
+        for (l, parameter) in model.parameters.iter().enumerate() {
+            state.covariance[(l, l)] = parameter.start_std * parameter.start_std;
+        }
+        if settings.rule == NoiseRule::Fixed || count == 0 {
+            state.phase = NoisePhase::Working;
+        }
+        state
+    }
+
+    /// Returns the largest relative standard deviation of the noise parameters, infinite without positive variances.
+    #[must_use]
+    pub fn largest_relative_std(&self) -> f64 {
+        (0..self.mean.len())
+            .map(|l| {
+                let variance = self.covariance[(l, l)];
+                if variance > 0.0 { variance.sqrt() / self.mean[l] } else { f64::INFINITY }
+            })
+            .fold(0.0, f64::max)
+    }
+
+    /// Takes one frame: moves `ψ` and `Σ_ψ`, and switches between the phases.
+    pub(crate) fn update(
+        &mut self,
+        model: &NoiseModel,
+        settings: &NoiseSettings,
+        objective: &mut Objective,
+    ) -> NoiseEvents {
+        let mut events = NoiseEvents::default();
+        if settings.rule == NoiseRule::Fixed || self.mean.is_empty() || objective.used_channels() == 0 {
+            return events;
+        }
+        match self.phase {
+            NoisePhase::Training => {
+                self.search(model, settings, objective);
+                self.training_step += 1;
+                self.watch_misfit(LEAST_WINDOW_STEPS, objective);
+                if self.training_is_over(settings) {
+                    self.phase = NoisePhase::Working;
+                    self.misfit = Misfit { mean: 1.0, steps: 0 };
+                    events.training_ended = true;
+                }
+            }
+            NoisePhase::Working => {
+                match settings.rule {
+                    NoiseRule::Published => self.newton_step(model, settings, objective),
+                    NoiseRule::Fisher => self.scoring_step(model, settings, objective),
+                    NoiseRule::Fixed => {}
+                }
+                if self.innovations_keep_disagreeing(settings, objective) {
+                    self.restart_training(model);
+                    events.training_restarted = true;
+                }
+            }
+        }
+        events
+    }
+
+    fn training_is_over(&self, settings: &NoiseSettings) -> bool {
+        let settled = match settings.rule {
+            // The scoring step is right from any start near the level; waiting for the draws to lose ten times in a row
+            // can take for ever with one parameter and few channels.
+            NoiseRule::Fisher => self.innovations_agree(),
+            NoiseRule::Published | NoiseRule::Fixed => self.unchanged >= 10,
+        };
+        let waited = self.training_step >= settings.training_steps.max(1) && settled;
+        let limit = settings.training_limit_steps;
+        let late = limit > 0 && self.training_step >= limit;
+        // Σ_ψ is only ever replaced by a positive definite one, so its diagonal tells
+        (waited || late) && self.largest_relative_std() < TRAINED_RELATIVE_STD
+    }
+
+    fn innovations_keep_disagreeing(&mut self, settings: &NoiseSettings, objective: &mut Objective) -> bool {
+        let window = settings.training_steps.max(LEAST_WINDOW_STEPS);
+        self.watch_misfit(window, objective);
+        let (low, high) = MISFIT_RANGE;
+        let too_small = self.misfit.mean < low && !self.floored;
+        if too_small || self.misfit.mean > high {
+            self.misfit.steps += 1;
+        } else {
+            self.misfit.steps = 0;
+        }
+        self.misfit.steps > window
+    }
+
+    /// Counts a step at which `Σ_ψ` had to stay as it was.
+    fn fall_back(&mut self) {
+        match self.phase {
+            NoisePhase::Training => self.fallbacks += 1,
+            NoisePhase::Working => self.working_fallbacks += 1,
+        }
+    }
+
+    fn innovations_agree(&self) -> bool {
+        let large_enough = self.misfit.mean > SETTLED_RANGE.0 || self.floored;
+        large_enough && self.misfit.mean < SETTLED_RANGE.1
+    }
+
+    /// Keeps every level above its floor, and notes when all of them lie on it: smaller innovations are no misfit then.
+    fn apply_floor(&mut self, psi: &mut DVector<f64>, model: &NoiseModel, settings: &NoiseSettings) {
+        self.floored = true;
+        for (level, parameter) in psi.iter_mut().zip(&model.parameters) {
+            let floor = settings.floor * parameter.start;
+            self.floored &= *level <= floor;
+            *level = level.max(floor);
+        }
+    }
+
+    fn watch_misfit(&mut self, window: u64, objective: &mut Objective) {
+        let normalised = objective.normalised_innovation_squared(&self.mean);
+        let per_channel = normalised / objective.used_channels() as f64;
+        if per_channel.is_finite() {
+            self.misfit.mean += (per_channel - self.misfit.mean) / window as f64;
+        }
+    }
+
+    fn restart_training(&mut self, model: &NoiseModel) {
+        self.phase = NoisePhase::Training;
+        self.training_step = 0;
+        self.unchanged = 0;
+        self.misfit = Misfit { mean: 1.0, steps: 0 };
+        self.covariance.fill(0.0);
+        for (l, parameter) in model.parameters.iter().enumerate() {
+            let std = self.mean[l] * parameter.start_std / parameter.start;
+            self.covariance[(l, l)] = std * std;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

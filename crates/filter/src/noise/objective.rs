@@ -1,0 +1,191 @@
+//! The objective `J(ψ)` of one frame (3.28) with its exact gradient and Hessian.
+
+use super::{NoiseModel, NoiseTarget};
+use crate::dense::{cholesky_mut, ln_determinant, solve_lower_mut};
+use nalgebra::{DMatrix, DVector};
+
+/// One frame as the noise parameters see it: an N_0 × N_0 problem, whatever the number of states.
+///
+/// Channels that are missing are rows and columns of the identity with zero innovation: they add nothing.
+#[derive(Debug, Clone)]
+pub(crate) struct Objective {
+    /// `S₀` plus the contributions of the known noises (N_0 × N_0).
+    known: DMatrix<f64>,
+    /// `U_l` (N_0 × N_0).
+    patterns: Vec<DMatrix<f64>>,
+    innovation: DVector<f64>,
+    used: usize,
+    factor: DMatrix<f64>,
+    whitened: DVector<f64>,
+    /// `V_l` (N_0 × N_0)
+    whitened_patterns: Vec<DMatrix<f64>>,
+    /// `V_l ẽ` (N_0)
+    pattern_innovations: Vec<DVector<f64>>,
+    pub(super) gradient: DVector<f64>,
+    pub(super) observed: DMatrix<f64>,
+    pub(super) expected: DMatrix<f64>,
+    pub(super) scratch: Scratch,
+}
+
+/// Scratch of the two rules (N_ψ).
+#[derive(Debug, Clone)]
+pub(super) struct Scratch {
+    pub(super) information: DMatrix<f64>,
+    pub(super) prior: DMatrix<f64>,
+    pub(super) scale: DVector<f64>,
+    pub(super) step: DVector<f64>,
+    pub(super) candidate: DVector<f64>,
+    pub(super) best: DVector<f64>,
+}
+
+impl Objective {
+    pub(crate) fn new(channels: usize, parameters: usize) -> Self {
+        let square = || DMatrix::zeros(channels, channels);
+        let small = || DMatrix::zeros(parameters, parameters);
+        let vector = || DVector::zeros(parameters);
+        Self {
+            known: square(),
+            patterns: vec![square(); parameters],
+            innovation: DVector::zeros(channels),
+            used: 0,
+            factor: square(),
+            whitened: DVector::zeros(channels),
+            whitened_patterns: vec![square(); parameters],
+            pattern_innovations: vec![DVector::zeros(channels); parameters],
+            gradient: vector(),
+            observed: small(),
+            expected: small(),
+            scratch: Scratch {
+                information: small(),
+                prior: small(),
+                scale: vector(),
+                step: vector(),
+                candidate: vector(),
+                best: vector(),
+            },
+        }
+    }
+
+    pub(crate) fn used_channels(&self) -> usize {
+        self.used
+    }
+
+    /// Sets the frame.
+    ///
+    /// `known`: `S₀ = λ H A Σ Aᵀ Hᵀ` (N_0 × N_0), with all that does not depend on `ψ`; `h_b`: `H B` (N_0 × N_f);
+    /// `feedthrough`: `D`; `fading`: `λ` of the state; `innovation`: NaN where a channel is missing.
+    pub(crate) fn set_frame(
+        &mut self,
+        model: &NoiseModel,
+        known: &DMatrix<f64>,
+        h_b: Option<&DMatrix<f64>>,
+        feedthrough: Option<&DMatrix<f64>>,
+        fading: f64,
+        innovation: &DVector<f64>,
+    ) {
+        self.known.copy_from(known);
+        for (parameter, pattern) in model.parameters.iter().zip(&mut self.patterns) {
+            match parameter.target {
+                NoiseTarget::Sensors => pattern.copy_from(&parameter.pattern),
+                NoiseTarget::Excitation => {
+                    pattern.fill(0.0);
+                    if let Some(h_b) = h_b {
+                        crate::dense::add_quadratic_form_mut(pattern, h_b, &parameter.pattern, fading);
+                    }
+                    if let Some(direct) = feedthrough {
+                        crate::dense::add_quadratic_form_mut(pattern, direct, &parameter.pattern, 1.0);
+                    }
+                }
+            }
+        }
+        self.used = 0;
+        for j in 0..innovation.len() {
+            if innovation[j].is_nan() {
+                self.innovation[j] = 0.0;
+                clear_channel_mut(&mut self.known, j, 1.0);
+                for pattern in &mut self.patterns {
+                    clear_channel_mut(pattern, j, 0.0);
+                }
+            } else {
+                self.innovation[j] = innovation[j];
+                self.used += 1;
+            }
+        }
+    }
+
+    /// Returns the likelihood part of `J(ψ)`, `½[ln|Σ_z| + eᵀ Σ_z⁻¹ e]`; infinite where `Σ_z` is not positive definite.
+    pub(crate) fn value(&mut self, psi: &DVector<f64>) -> f64 {
+        if !self.factorise(psi) {
+            return f64::INFINITY;
+        }
+        0.5 * (ln_determinant(&self.factor) + self.whitened.norm_squared())
+    }
+
+    /// Returns `eᵀ Σ_z⁻¹ e`.
+    pub(crate) fn normalised_innovation_squared(&mut self, psi: &DVector<f64>) -> f64 {
+        if self.factorise(psi) { self.whitened.norm_squared() } else { f64::NAN }
+    }
+
+    /// Returns `eᵀ Σ_z⁻¹ e` where it was last factorised.
+    pub(super) fn whitened_norm_squared(&self) -> f64 {
+        self.whitened.norm_squared()
+    }
+
+    fn factorise(&mut self, psi: &DVector<f64>) -> bool {
+        self.factor.copy_from(&self.known);
+        for (pattern, level) in self.patterns.iter().zip(psi.iter()) {
+            if !(*level > 0.0) {
+                return false;
+            }
+            for (entry, weight) in self.factor.iter_mut().zip(pattern.iter()) {
+                *entry += level * weight;
+            }
+        }
+        if cholesky_mut(&mut self.factor).is_err() {
+            return false;
+        }
+        self.whitened.copy_from(&self.innovation);
+        solve_lower_mut(&self.factor, self.whitened.as_mut_slice());
+        true
+    }
+
+    /// Fills gradient, observed Hessian and expected information of the likelihood part at `psi`.
+    ///
+    /// `∂J/∂ψ_l = ½ tr(WU_l) − ½ eᵀWU_lWe`, `∂²J/∂ψ_l∂ψ_m = −½ tr(WU_lWU_m) + eᵀWU_lWU_mWe` with `W = Σ_z⁻¹` (the exact
+    /// form of the differences (3.34) to (3.38)); the expected information is `½ tr(WU_lWU_m)`. False: `Σ_z` is not
+    /// positive definite.
+    pub(crate) fn differentiate(&mut self, psi: &DVector<f64>) -> bool {
+        if !self.factorise(psi) {
+            return false;
+        }
+        let count = self.patterns.len();
+        for l in 0..count {
+            let whitened = &mut self.whitened_patterns[l];
+            whitened.copy_from(&self.patterns[l]);
+            solve_lower_mut(&self.factor, whitened.as_mut_slice()); // L⁻¹ U
+            whitened.transpose_mut();
+            solve_lower_mut(&self.factor, whitened.as_mut_slice()); // L⁻¹ (L⁻¹ U)ᵀ = V
+            self.pattern_innovations[l].gemv(1.0, whitened, &self.whitened, 0.0);
+            let trace = whitened.trace();
+            let quadratic = self.whitened.dot(&self.pattern_innovations[l]);
+            self.gradient[l] = 0.5 * (trace - quadratic);
+        }
+        for l in 0..count {
+            for m in 0..=l {
+                let trace = self.whitened_patterns[l].dot(&self.whitened_patterns[m]);
+                let quadratic = self.pattern_innovations[l].dot(&self.pattern_innovations[m]);
+                for (row, column) in [(l, m), (m, l)] {
+                    self.expected[(row, column)] = 0.5 * trace;
+                    self.observed[(row, column)] = quadratic - 0.5 * trace;
+                }
+            }
+        }
+        true
+    }
+}
+
+fn clear_channel_mut(matrix: &mut DMatrix<f64>, channel: usize, diagonal: f64) {
+    matrix.row_mut(channel).fill(0.0);
+    matrix.column_mut(channel).fill(0.0);
+    matrix[(channel, channel)] = diagonal;
+}

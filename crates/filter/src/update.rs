@@ -1,0 +1,212 @@
+//! The measurement update.
+//!
+//! Notation: Huang & Yuen (2023), (2.68) to (2.70). `P`: predicted covariance (n × n), `S = H P Hᵀ + Σ_n` (N_0 × N_0),
+//! `L Lᵀ = S`, `V = L⁻¹ H P` (N_0 × n), `ν`: innovation, `ν̃ = L⁻¹ ν`. Then `G ν = Vᵀ ν̃` and `(I − GH) P = P − Vᵀ V`: the gain
+//! itself is never formed, and both triangles get the same bits.
+
+use crate::dense::{cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_transposed_mut, subtract_gram_mut};
+use crate::error::FilterError;
+use crate::model::ObservationModel;
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+/// The form in which the covariance is corrected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CovarianceForm {
+    /// `P − Vᵀ V`: cheapest, exactly symmetric; right in double precision with the exact gain.
+    #[default]
+    Symmetric,
+    /// `(I − GH) P (I − GH)ᵀ + G Σ_n Gᵀ`: twice the work, for measurement noise many orders below `H P Hᵀ`.
+    Joseph,
+}
+
+/// What one update found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Evidence {
+    /// `νᵀ S⁻¹ ν`
+    pub normalised_innovation_squared: f64,
+    /// `ln p(z | D)`
+    pub log_evidence: f64,
+}
+
+/// Scratch space of the update, made once.
+#[derive(Debug, Clone)]
+pub(crate) struct Workspace {
+    /// `S` (N_0 × N_0)
+    pub innovation_covariance: DMatrix<f64>,
+    /// `ν`, NaN where missing (N_0)
+    pub innovation: DVector<f64>,
+    /// `L` (N_0 × N_0)
+    factor: DMatrix<f64>,
+    /// `ν̃` (N_0)
+    whitened: DVector<f64>,
+    joseph: Option<JosephWorkspace>,
+}
+
+#[derive(Debug, Clone)]
+struct JosephWorkspace {
+    /// `Gᵀ` (N_0 × n)
+    gain_transposed: DMatrix<f64>,
+    /// `H (I − GH) P` (N_0 × n)
+    h_x: DMatrix<f64>,
+    /// `Σ_n Gᵀ` (N_0 × n)
+    noise_gain: DMatrix<f64>,
+}
+
+impl Workspace {
+    pub(crate) fn new(n: usize, channels: usize, form: CovarianceForm) -> Self {
+        let wide = || DMatrix::zeros(channels, n);
+        Self {
+            innovation_covariance: DMatrix::zeros(channels, channels),
+            innovation: DVector::zeros(channels),
+            factor: DMatrix::zeros(channels, channels),
+            whitened: DVector::zeros(channels),
+            joseph: (form == CovarianceForm::Joseph).then(|| JosephWorkspace {
+                gain_transposed: wide(),
+                h_x: wide(),
+                noise_gain: wide(),
+            }),
+        }
+    }
+}
+
+/// Takes the rows of the missing channels (NaN in the innovation) out of `S` and `H P`; returns how many are left.
+///
+/// A missing channel becomes a row of the identity with zero innovation and zero `H P`: exactly as if its variance were
+/// infinite, without changing a size.
+pub(crate) fn leave_out_missing(work: &mut Workspace, h_p: &mut DMatrix<f64>) -> usize {
+    let mut used = 0;
+    for j in 0..work.innovation.len() {
+        if work.innovation[j].is_nan() {
+            work.innovation_covariance.row_mut(j).fill(0.0);
+            work.innovation_covariance.column_mut(j).fill(0.0);
+            work.innovation_covariance[(j, j)] = 1.0;
+            h_p.row_mut(j).fill(0.0);
+        } else {
+            used += 1;
+        }
+    }
+    used
+}
+
+/// Factorises `S` and whitens the innovation.
+///
+/// A first failure is met by a jitter of 1e-12 of the mean variance, a second one is an error.
+pub(crate) fn factorise(work: &mut Workspace, used: usize) -> Result<Evidence, FilterError> {
+    let channels = work.innovation.len();
+    work.factor.copy_from(&work.innovation_covariance);
+    if cholesky_mut(&mut work.factor).is_err() {
+        let jitter = 1e-12 * work.innovation_covariance.trace() / channels as f64;
+        for j in 0..channels {
+            work.innovation_covariance[(j, j)] += jitter;
+        }
+        work.factor.copy_from(&work.innovation_covariance);
+        cholesky_mut(&mut work.factor).map_err(|pivot| FilterError::InnovationCovariance { pivot })?;
+    }
+    for j in 0..channels {
+        let innovation = work.innovation[j];
+        work.whitened[j] = if innovation.is_nan() { 0.0 } else { innovation };
+    }
+    solve_lower_mut(&work.factor, work.whitened.as_mut_slice());
+    let normalised_innovation_squared = work.whitened.norm_squared();
+    let log_evidence = -0.5
+        * (used as f64 * std::f64::consts::TAU.ln() + ln_determinant(&work.factor) + normalised_innovation_squared);
+    Ok(Evidence { normalised_innovation_squared, log_evidence })
+}
+
+/// Corrects mean (n) and covariance (n × n).
+///
+/// `h_p`: `H P` (N_0 × n), becomes `V`. `sensors`: `Σ_n`, used by the Joseph form only. Expects [`factorise`] to have run.
+pub(crate) fn correct(
+    model: &impl ObservationModel,
+    mean: &mut DVector<f64>,
+    covariance: &mut DMatrix<f64>,
+    h_p: &mut DMatrix<f64>,
+    sensors: &DMatrix<f64>,
+    work: &mut Workspace,
+) {
+    solve_lower_mut(&work.factor, h_p.as_mut_slice()); // V = L⁻¹ H P
+    mean.gemv_tr(1.0, h_p, &work.whitened, 1.0); // y ← y + Vᵀ ν̃                 (2.68)
+    subtract_gram_mut(covariance, h_p); // Σ = P − Vᵀ V                           (2.70)
+    let Some(JosephWorkspace { gain_transposed, h_x, noise_gain }) = &mut work.joseph else {
+        return;
+    };
+    gain_transposed.copy_from(h_p);
+    solve_lower_transposed_mut(&work.factor, gain_transposed.as_mut_slice()); // Gᵀ = L⁻ᵀ V
+    model.observation_jacobian_mul(covariance, h_x); // H X with X = (I − GH) P
+    noise_gain.gemm_tr(1.0, sensors, gain_transposed, 0.0); // Σ_n Gᵀ, because Σ_n is symmetric
+    let n = covariance.nrows();
+    for j in 0..n {
+        let noise = noise_gain.column(j);
+        let right = gain_transposed.column(j);
+        for i in 0..n {
+            // X − X Hᵀ Gᵀ + G Σ_n Gᵀ
+            let product = h_x.column(i).dot(&right);
+            covariance[(i, j)] += gain_transposed.column(i).dot(&noise) - product;
+        }
+    }
+    crate::dense::symmetrise_mut(covariance);
+}
+
+/// What the update says of the unknown excitation of the frame's own instant, for models with a direct term.
+///
+/// `w̄ = Σ_f Dᵀ S⁻¹ ν` (N_f), its covariance `W = Σ_f − Σ_f Dᵀ S⁻¹ D Σ_f` (N_f × N_f), and its covariance with the state
+/// `C = −P Hᵀ S⁻¹ D Σ_f` (n × N_f). The next prediction starts from them: the sample that the sensors have already felt acts
+/// on the state over the coming step.
+pub(crate) fn infer_excitation(
+    feedthrough: &DMatrix<f64>,
+    excitation: &DMatrix<f64>,
+    whitened_h_p: &DMatrix<f64>,
+    work: &Workspace,
+    posterior: &mut ExcitationPosterior,
+) {
+    let ExcitationPosterior { mean, covariance, cross, whitened_gain } = posterior;
+    // R = L⁻¹ D Σ_f, with the rows of missing channels zero
+    whitened_gain.fill(0.0);
+    for b in 0..excitation.ncols() {
+        for a in 0..excitation.nrows() {
+            for j in 0..feedthrough.nrows() {
+                if !work.innovation[j].is_nan() {
+                    whitened_gain[(j, b)] += feedthrough[(j, a)] * excitation[(a, b)];
+                }
+            }
+        }
+    }
+    solve_lower_mut(&work.factor, whitened_gain.as_mut_slice());
+    mean.gemv_tr(1.0, whitened_gain, &work.whitened, 0.0);
+    covariance.copy_from(excitation);
+    subtract_gram_mut(covariance, whitened_gain);
+    cross.gemm_tr(-1.0, whitened_h_p, whitened_gain, 0.0);
+}
+
+/// The unknown excitation of the last frame, given that frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ExcitationPosterior {
+    /// `w̄` (N_f)
+    pub(crate) mean: DVector<f64>,
+    /// `W` (N_f × N_f)
+    pub(crate) covariance: DMatrix<f64>,
+    /// `C` (n × N_f)
+    pub(crate) cross: DMatrix<f64>,
+    /// `L⁻¹ D Σ_f` (N_0 × N_f)
+    whitened_gain: DMatrix<f64>,
+}
+
+impl ExcitationPosterior {
+    pub(crate) fn new(n: usize, channels: usize, excitation_len: usize) -> Self {
+        Self {
+            mean: DVector::zeros(excitation_len),
+            covariance: DMatrix::zeros(excitation_len, excitation_len),
+            cross: DMatrix::zeros(n, excitation_len),
+            whitened_gain: DMatrix::zeros(channels, excitation_len),
+        }
+    }
+
+    /// Forgets what the last frame said.
+    pub(crate) fn clear(&mut self) {
+        self.mean.fill(0.0);
+        self.covariance.fill(0.0);
+        self.cross.fill(0.0);
+    }
+}

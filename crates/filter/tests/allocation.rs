@@ -1,0 +1,70 @@
+//! A step allocates nothing, in any phase and with any stage switched on.
+
+mod systems;
+
+use nalgebra::{DMatrix, DVector};
+use spandrel_filter::{
+    Annealing, BandLimit, CovarianceForm, ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, InputHold,
+    NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseTarget,
+};
+use systems::{Chain, Normal};
+
+const MASSES: usize = 8; // n = 19: all dimensions above the size from which nalgebra's products allocate
+
+fn filter(rule: NoiseRule, form: CovarianceForm) -> ExtendedKalmanFilter<Chain> {
+    let n = 2 * MASSES + 3;
+    let noise = NoiseModel {
+        excitation: DMatrix::identity(1, 1),
+        sensors: DMatrix::zeros(MASSES, MASSES),
+        parameters: vec![NoiseParameter {
+            name: "sensors".to_owned(),
+            target: NoiseTarget::Sensors,
+            pattern: DMatrix::identity(MASSES, MASSES),
+            start: 1e-2,
+            start_std: 3e-3,
+        }],
+    };
+    let mut mean = DVector::zeros(n);
+    let mut std = DVector::repeat(n, 1e-3);
+    for j in 0..3 {
+        mean[2 * MASSES + j] = [1.0, 0.3, 3e-4][j];
+        std[2 * MASSES + j] = [0.1, 0.1, 1e-4][j];
+    }
+    let mut settings = FilterSettings::new(0.0025, mean, std, noise);
+    settings.fading = FadingFactor::from_half_life(1000.0).unwrap();
+    settings.annealing = Some(Annealing { amount: 10.0, time_constant_s: 0.1 });
+    settings.input_hold = InputHold::First;
+    settings.covariance_form = form;
+    settings.variance_bound = DVector::repeat(n, 1.0);
+    settings.noise_settings =
+        NoiseSettings { rule, training_steps: 200, training_limit_steps: 400, ..NoiseSettings::default() };
+    ExtendedKalmanFilter::new(Chain::new(MASSES, 5000.0), settings).unwrap()
+}
+
+#[test]
+fn step_allocates_nothing() {
+    for rule in [NoiseRule::Fixed, NoiseRule::Published, NoiseRule::Fisher] {
+        for form in [CovarianceForm::Symmetric, CovarianceForm::Joseph] {
+            let mut filter = filter(rule, form);
+            let mut normal = Normal::seeded(3);
+            let mut band_limit = BandLimit::low_pass(4, 50.0, 400.0, MASSES).unwrap();
+            let mut datum = vec![0.0; MASSES];
+            let mut phases = [0, 0];
+            let counted = allocation_counter::measure(|| {
+                for k in 0..1500 {
+                    datum.iter_mut().for_each(|value| *value = normal.draw());
+                    band_limit.apply(&mut datum);
+                    if k % 7 == 0 {
+                        datum[2] = f64::NAN; // a channel that drops out now and then
+                    }
+                    let excitation = [if k % 11 == 0 { f64::NAN } else { 0.1 }];
+                    let step = filter.step(Frame { observations: &datum, excitation: &excitation }).unwrap();
+                    phases[usize::from(step.noise_phase == NoisePhase::Working)] += 1;
+                }
+            });
+            assert_eq!(counted.count_total, 0, "{rule:?}, {form:?}");
+            assert!(phases[1] > 0, "{rule:?}: the working phase was never reached");
+            assert!(rule == NoiseRule::Fixed || phases[0] > 0, "{rule:?}: the training phase was never seen");
+        }
+    }
+}

@@ -1,0 +1,36 @@
+//! What can keep an identification from starting, or end the service.
+
+use spandrel_bus::{BusError, NameError};
+use spandrel_filter::FilterError;
+use thiserror::Error;
+
+/// Why the identification of a structure could not begin.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum IdentifyError {
+    /// The filter refused its settings.
+    #[error("filter of structure {structure} cannot be made")]
+    Filter {
+        /// The structure.
+        structure: String,
+        /// Why.
+        source: FilterError,
+    },
+    /// A name is no chunk of a key expression.
+    #[error("name in structure {structure} cannot be a key")]
+    Name {
+        /// The structure.
+        structure: String,
+        /// Why.
+        source: NameError,
+    },
+    /// The bus refused a declaration or is closed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The thread that carried a filter is gone: the filter with it.
+    #[error("filter of structure {structure} was lost with its thread")]
+    ThreadLost {
+        /// The structure.
+        structure: String,
+    },
+}

@@ -1,0 +1,377 @@
+//! The core: frames of one structure in, estimates out, one filter step per frame.
+
+use crate::display::{Decimation, ParameterView, noise_display};
+use crate::error::IdentifyError;
+use spandrel_bus::{
+    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FrameBlock, Header, Name, NoiseDisplay, ParameterDisplay,
+    Phase, StreamState, TimeGrid,
+};
+use spandrel_filter::{BandLimit, ExtendedKalmanFilter, FilterError, Frame, NoisePhase, Step};
+use spandrel_structure::{Structure, StructureModel};
+
+/// A gap up to this long (s) is bridged by predictions; over a longer one the motion is forgotten and the parameters stay.
+const BRIDGED_GAP_S: f64 = 10.0;
+
+/// Longest estimate block that one input makes: what comes of a long gap is cut.
+const LONGEST_BLOCK: usize = 4096;
+
+/// What the core reacts to.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Input {
+    /// Frames that continue those before, or begin a new epoch.
+    Frames(FrameBlock),
+    /// Frames of the running epoch that can no longer be had: numbers `from` to before `to`.
+    Gap {
+        /// Number of the first missing frame.
+        from: u64,
+        /// Number of the first frame after the gap.
+        to: u64,
+    },
+}
+
+/// What the core has to say.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Output {
+    /// Estimates at the sampling rate.
+    Estimates(EstimateBlock),
+    /// A parameter at display rate.
+    Parameter(ParameterDisplay),
+    /// A noise level at display rate.
+    Noise(NoiseDisplay),
+    /// Something rare.
+    Event(Event),
+}
+
+/// Identification of one structure: the filter, the declared band limit, and what is displayed.
+#[derive(Debug)]
+pub struct Identification {
+    structure: Name,
+    source: String,
+    filter: ExtendedKalmanFilter<StructureModel>,
+    band_limit: Option<BandLimit>,
+    observation_channels: Vec<usize>,
+    excitation_channels: Vec<Option<usize>>,
+    parameter_views: Vec<ParameterView>,
+    noise_names: Vec<Name>,
+    decimation: Decimation,
+    stream: Option<Stream>,
+    /// scratch: one frame as it came, then as the filter sees it
+    frame: Vec<f64>,
+    observations: Vec<f64>,
+    excitation: Vec<f64>,
+    restarts: u64,
+}
+
+/// Where the running epoch of frames stands.
+#[derive(Debug, Clone, Copy)]
+struct Stream {
+    epoch: u64,
+    next: u64,
+    t0_ns: i64,
+    sampling_rate_hz: f64,
+}
+
+impl Identification {
+    /// Makes the identification of a structure at its prior; `source` is the id under which estimates are published.
+    ///
+    /// # Errors
+    /// When the filter refuses its settings, or a name cannot be a key.
+    pub fn new(structure: &Structure, source: impl Into<String>) -> Result<Self, IdentifyError> {
+        let refused = |source| IdentifyError::Filter { structure: structure.name().to_owned(), source };
+        let named = |name: &str| {
+            Name::new(name).map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })
+        };
+        let settings = structure.filter_settings().map_err(refused)?;
+        let filter = ExtendedKalmanFilter::new(structure.model(), settings).map_err(refused)?;
+        let channels = structure.channel_count();
+        let band_limit = structure
+            .band_limit()
+            .map(|limit| BandLimit::low_pass(limit.order, limit.frequency_hz, structure.sampling_rate_hz(), channels))
+            .transpose()
+            .map_err(refused)?;
+        let parameter_views = structure
+            .parameters()
+            .iter()
+            .enumerate()
+            .map(|(index, parameter)| Ok(ParameterView::new(named(parameter.name())?, index, structure.alert_rules())))
+            .collect::<Result<_, IdentifyError>>()?;
+        let noise_names = filter
+            .settings()
+            .noise
+            .parameters
+            .iter()
+            .map(|parameter| named(&parameter.name))
+            .collect::<Result<_, _>>()?;
+        Ok(Self {
+            structure: named(structure.name())?,
+            source: source.into(),
+            observation_channels: structure.observation_channels().to_vec(),
+            excitation_channels: structure.excitation_channels().to_vec(),
+            observations: vec![f64::NAN; structure.observation_channels().len()],
+            excitation: vec![0.0; structure.excitation_channels().len()],
+            frame: vec![f64::NAN; channels],
+            decimation: Decimation::new(structure.sampling_rate_hz(), structure.display_rate_hz()),
+            parameter_views,
+            noise_names,
+            filter,
+            band_limit,
+            stream: None,
+            restarts: 0,
+        })
+    }
+
+    /// Takes one input and appends what follows from it.
+    pub fn handle(&mut self, input: Input, outputs: &mut Vec<Output>) {
+        match input {
+            Input::Frames(block) => self.take_block(&block, outputs),
+            Input::Gap { from, to } => self.bridge(from, to, outputs),
+        }
+    }
+
+    /// Returns how often the filter had to be restarted from its prior.
+    #[must_use]
+    pub fn restarts(&self) -> u64 {
+        self.restarts
+    }
+
+    /// Returns the number of the first frame not yet done, 0 before the first.
+    #[must_use]
+    pub fn done(&self) -> u64 {
+        self.stream.map_or(0, |stream| stream.next)
+    }
+
+    /// Returns the filter.
+    #[must_use]
+    pub fn filter(&self) -> &ExtendedKalmanFilter<StructureModel> {
+        &self.filter
+    }
+
+    /// Returns the names of the parameters, in the order of the estimates.
+    pub fn parameter_names(&self) -> impl Iterator<Item = &Name> {
+        self.parameter_views.iter().map(ParameterView::name)
+    }
+
+    /// Returns the names of the identified noise levels, in the order of the estimates.
+    #[must_use]
+    pub fn noise_names(&self) -> &[Name] {
+        &self.noise_names
+    }
+
+    fn take_block(&mut self, block: &FrameBlock, outputs: &mut Vec<Output>) {
+        if self.stream.is_none_or(|stream| stream.epoch != block.header.epoch) {
+            self.enter_epoch(block, outputs);
+        }
+        let Some(grid) = block.grid() else {
+            return; // such a block is refused when it is decoded
+        };
+        let mut estimates = Vec::with_capacity(block.values.len() / usize::from(block.channels).max(1));
+        let first = block.header.sequence;
+        for (number, values) in block.iter() {
+            self.take_frame(number, values, grid, &mut estimates, outputs);
+        }
+        self.publish(first, estimates, block.state, outputs);
+    }
+
+    /// Notes a new life of the source of frames: numbers and times begin anew.
+    fn enter_epoch(&mut self, block: &FrameBlock, outputs: &mut Vec<Output>) {
+        if self.stream.is_some() {
+            self.filter.forget_motion();
+            self.reset_band_limit();
+            outputs.push(self.event(
+                block.header.time_ns,
+                EventKind::Restart,
+                "motion of the structure forgotten, parameters kept",
+                "the source of frames began a new epoch",
+            ));
+        }
+        self.stream = Some(Stream {
+            epoch: block.header.epoch,
+            next: block.header.sequence,
+            t0_ns: block.t0_ns,
+            sampling_rate_hz: block.sampling_rate_hz,
+        });
+    }
+
+    fn take_frame(
+        &mut self,
+        number: u64,
+        values: &[f64],
+        grid: TimeGrid,
+        estimates: &mut Vec<Estimate>,
+        outputs: &mut Vec<Output>,
+    ) {
+        let time_ns = grid.time_ns(number);
+        self.frame.copy_from_slice(values);
+        if let Some(band_limit) = &mut self.band_limit {
+            band_limit.apply(&mut self.frame);
+        }
+        for (value, channel) in self.observations.iter_mut().zip(&self.observation_channels) {
+            *value = self.frame[*channel];
+        }
+        for (value, channel) in self.excitation.iter_mut().zip(&self.excitation_channels) {
+            *value = channel.map_or(0.0, |channel| self.frame[channel]);
+        }
+        let frame = Frame { observations: &self.observations, excitation: &self.excitation };
+        let result = self.filter.step(frame);
+        let restarted = result.is_err();
+        if let Err(error) = &result {
+            outputs.push(self.restart(time_ns, error));
+        }
+        if let Ok(step) = &result {
+            self.tell_noise_events(time_ns, step, outputs);
+        }
+        estimates.push(self.estimate(result.ok(), restarted));
+        if let Some(stream) = &mut self.stream {
+            stream.next = number + 1;
+        }
+        if self.decimation.shows(number) {
+            self.display(time_ns, outputs);
+        }
+    }
+
+    /// Bridges frames that are lost for good.
+    fn bridge(&mut self, from: u64, to: u64, outputs: &mut Vec<Output>) {
+        let Some(stream) = self.stream else {
+            return; // nothing was known before the gap
+        };
+        let Some(grid) = TimeGrid::new(stream.t0_ns, stream.sampling_rate_hz) else {
+            return;
+        };
+        let missing = vec![f64::NAN; self.frame.len()];
+        let bridged = (BRIDGED_GAP_S * stream.sampling_rate_hz) as u64;
+        let forgets = to - from.min(to) > bridged;
+        let (time_ns, lost) = (grid.time_ns(from), to.saturating_sub(from));
+        outputs.push(self.event(
+            time_ns,
+            EventKind::Gap,
+            &format!("{lost} frames are lost for good"),
+            if forgets {
+                "longer than can be bridged: parameters kept, motion forgotten"
+            } else {
+                "bridged by predictions"
+            },
+        ));
+        let mut start = from;
+        while start < to {
+            let end = to.min(start + LONGEST_BLOCK as u64);
+            let mut estimates = Vec::with_capacity((end - start) as usize);
+            for number in start..end {
+                if number - from < bridged {
+                    self.take_frame(number, &missing, grid, &mut estimates, outputs);
+                } else {
+                    estimates.push(self.estimate(None, false));
+                }
+            }
+            self.publish(start, estimates, StreamState::Running, outputs);
+            start = end;
+        }
+        if forgets {
+            self.filter.forget_motion();
+            self.reset_band_limit();
+        }
+        if let Some(stream) = &mut self.stream {
+            stream.next = to;
+        }
+    }
+
+    fn restart(&mut self, time_ns: i64, error: &FilterError) -> Output {
+        self.restarts += 1;
+        self.filter.restart();
+        self.event(time_ns, EventKind::Restart, "filter restarted from its prior", &error.to_string())
+    }
+
+    fn reset_band_limit(&mut self) {
+        if let Some(band_limit) = &mut self.band_limit {
+            band_limit.reset();
+        }
+    }
+
+    fn tell_noise_events(&self, time_ns: i64, step: &Step, outputs: &mut Vec<Output>) {
+        if step.training_ended {
+            let why = "their relative deviations are below 10 % and the innovations agree with them";
+            outputs.push(self.event(time_ns, EventKind::Calibration, "noise levels trained", why));
+        }
+        if step.training_restarted {
+            let why = "the innovations kept disagreeing with their covariance";
+            outputs.push(self.event(time_ns, EventKind::Calibration, "noise levels back in training", why));
+        }
+    }
+
+    fn estimate(&self, step: Option<Step>, restarted: bool) -> Estimate {
+        let (mean, covariance) = (self.filter.mean(), self.filter.covariance());
+        let parameters = self.parameter_views.len();
+        let first = mean.len() - parameters;
+        let noise = self.filter.noise();
+        let innovations = match step {
+            Some(_) => self.filter.innovation().as_slice().to_vec(),
+            None => vec![f64::NAN; self.observations.len()],
+        };
+        let used = step.map_or(0, |step| step.used_channels);
+        Estimate {
+            mean: mean.as_slice()[first..].to_vec(),
+            covariance: (0..parameters)
+                .flat_map(|j| (0..=j).map(move |i| (i, j)))
+                .map(|(i, j)| covariance[(first + i, first + j)])
+                .collect(),
+            noise_mean: noise.mean.as_slice().to_vec(),
+            noise_covariance: noise.covariance.diagonal().as_slice().to_vec(),
+            innovations,
+            normalised_innovation_squared: step.map_or(0.0, |step| step.normalised_innovation_squared),
+            log_evidence: step.map_or(0.0, |step| step.log_evidence),
+            used_channels: used as u16,
+            flags: EstimateFlags {
+                phase: match noise.phase {
+                    NoisePhase::Training => Phase::Training,
+                    NoisePhase::Working => Phase::Working,
+                },
+                restarted,
+                prediction_only: used == 0,
+            },
+        }
+    }
+
+    fn publish(&self, first: u64, estimates: Vec<Estimate>, state: StreamState, outputs: &mut Vec<Output>) {
+        let Some(stream) = self.stream else {
+            return;
+        };
+        let time_ns = TimeGrid::new(stream.t0_ns, stream.sampling_rate_hz).map_or(stream.t0_ns, |g| g.time_ns(first));
+        outputs.push(Output::Estimates(EstimateBlock {
+            header: Header { source: self.source.clone(), epoch: stream.epoch, sequence: first, time_ns },
+            t0_ns: stream.t0_ns,
+            sampling_rate_hz: stream.sampling_rate_hz,
+            parameters: self.parameter_views.len() as u16,
+            noise_parameters: self.noise_names.len() as u16,
+            channels: self.observations.len() as u16,
+            estimates,
+            state,
+        }));
+    }
+
+    fn display(&self, time_ns: i64, outputs: &mut Vec<Output>) {
+        let first = self.filter.mean().len() - self.parameter_views.len();
+        for (index, view) in self.parameter_views.iter().enumerate() {
+            let j = first + index;
+            let (mean, variance) = (self.filter.mean()[j], self.filter.covariance()[(j, j)]);
+            outputs.push(Output::Parameter(view.display(&self.structure, time_ns, mean, variance)));
+        }
+        let noise = self.filter.noise();
+        for (l, name) in self.noise_names.iter().enumerate() {
+            let (mean, variance) = (noise.mean[l], noise.covariance[(l, l)]);
+            outputs.push(Output::Noise(noise_display(&self.structure, name, time_ns, mean, variance)));
+        }
+    }
+
+    fn event(&self, time_ns: i64, kind: EventKind, what: &str, why: &str) -> Output {
+        Output::Event(Event {
+            structure: self.structure.clone(),
+            time_ns,
+            kind,
+            subject: "identify".to_owned(),
+            what: what.to_owned(),
+            why: why.to_owned(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,21 @@
+//! Identifies a structure while it moves: one adaptive extended Kalman filter per structure, one step per frame.
+//!
+//! Aligned frames go in; estimates of the parameters and the noise levels with their uncertainty come out, at the sampling
+//! rate for programs and at display rate for people.
+//!
+//! - [`identification`]: the core, one structure; no clock, no network
+//! - [`pool`]: the threads that filters run on
+//! - [`shell`]: joins the identification of a structure to the bus
+//!
+//! For a recording without a bus, drive the core directly, as `spandrel estimate` does.
+
+mod display;
+mod error;
+pub mod identification;
+pub mod pool;
+pub mod shell;
+
+pub use error::IdentifyError;
+pub use identification::{Identification, Input, Output};
+pub use pool::FilterPool;
+pub use shell::{ESTIMATES_KEPT, IdentifyService};

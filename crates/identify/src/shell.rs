@@ -1,0 +1,208 @@
+//! Joins the identification of one structure to the bus.
+
+use crate::error::IdentifyError;
+use crate::identification::{Identification, Input, Output};
+use crate::pool::FilterPool;
+use spandrel_bus::{
+    Bus, Delivery, Description, DisplayPublisher, EstimateBlock, Event, FrameBlock, Keys, LatestPublisher, LiveToken,
+    Name, NoiseDisplay, NumberedPublisher, NumberedStream, ParameterDisplay, ProgressPublisher, Service, Start, Status,
+    Stream, StreamSettings, StreamState,
+};
+use spandrel_structure::Structure;
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tracing::{debug, info, warn};
+
+/// Estimates kept for readers that missed some; larger than the window that a replay keeps.
+pub const ESTIMATES_KEPT: u64 = 32_768;
+
+/// How often the status is put.
+const STATUS_EVERY: Duration = Duration::from_secs(1);
+
+/// The identification service of one structure.
+#[derive(Debug)]
+pub struct IdentifyService {
+    core: Option<Identification>,
+    pool: FilterPool,
+    frames: Stream<FrameBlock>,
+    estimates: NumberedPublisher<EstimateBlock>,
+    parameters: BTreeMap<Name, DisplayPublisher<ParameterDisplay>>,
+    noise: BTreeMap<Name, DisplayPublisher<NoiseDisplay>>,
+    events: DisplayPublisher<Event>,
+    _description: LatestPublisher<Description>,
+    progress: ProgressPublisher,
+    status: DisplayPublisher<Status>,
+    keys: Keys,
+    service: Name,
+    id: Name,
+    token: Option<LiveToken>,
+    last_time_ns: Option<i64>,
+    epoch: u64,
+}
+
+impl IdentifyService {
+    /// Checks everything and joins the bus; `id` names this instance.
+    ///
+    /// # Errors
+    /// When the filter cannot be made, or the bus refuses a declaration.
+    pub async fn start(
+        structure: &Structure,
+        bus: &Bus,
+        keys: Keys,
+        id: Name,
+        pool: FilterPool,
+    ) -> Result<Self, IdentifyError> {
+        let core = Identification::new(structure, id.as_str())?;
+        let estimates = bus
+            .publish_numbered(NumberedStream {
+                key: keys.estimates(),
+                buffer_key: keys.estimates_buffer(),
+                source: id.to_string(),
+                epoch: 0, // that of the frames, from the first block on
+                capacity: ESTIMATES_KEPT,
+            })
+            .await?;
+        let mut parameters = BTreeMap::new();
+        for name in core.parameter_names() {
+            parameters.insert(name.clone(), bus.publish_display(keys.parameter(name)).await?);
+        }
+        let mut noise = BTreeMap::new();
+        for name in core.noise_names() {
+            noise.insert(name.clone(), bus.publish_display(keys.noise(name)).await?);
+        }
+        let description = bus.publish_latest(keys.description()).await?;
+        description
+            .put(&Description { structure: keys.structure().clone(), text: structure.text().to_owned() })
+            .await?;
+        let frames = bus.follow(keys.frames(), keys.recording(), StreamSettings::new(Start::Beginning)).await?;
+        let service = Self {
+            pool,
+            frames,
+            estimates,
+            parameters,
+            noise,
+            events: bus.publish_display(keys.event()).await?,
+            _description: description,
+            progress: bus.publish_progress(keys.progress(Service::Identify), id.to_string()).await?,
+            status: bus.publish_display(keys.status(Service::Identify, &id)).await?,
+            token: Some(bus.announce(keys.live(Service::Identify, &id)).await?),
+            core: Some(core),
+            service: Name::new(Service::Identify.as_str())
+                .map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })?,
+            keys,
+            id,
+            last_time_ns: None,
+            epoch: 0,
+        };
+        info!(
+            structure = service.keys.structure().as_str(),
+            parameters = service.parameters.len(),
+            noise_levels = service.noise.len(),
+            sampling_rate_hz = structure.sampling_rate_hz(),
+            "identification ready"
+        );
+        Ok(service)
+    }
+
+    /// Runs until `stop`; blocks that have arrived are still done.
+    ///
+    /// # Errors
+    /// When the bus is closed underneath, or the thread of a filter was lost.
+    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), IdentifyError> {
+        tokio::pin!(stop);
+        let mut status = tokio::time::interval(STATUS_EVERY);
+        let deliveries = self.frames.deliveries().clone();
+        loop {
+            tokio::select! {
+                biased; // frames first: what has arrived is still identified
+                delivery = deliveries.recv_async() => match delivery {
+                    Ok(delivery) => self.take(delivery).await?,
+                    Err(flume::RecvError::Disconnected) => break,
+                },
+                _ = status.tick() => self.put_status().await?,
+                () = &mut stop => break,
+            }
+        }
+        if let Some(token) = self.token.take() {
+            token.withdraw().await?;
+        }
+        Ok(())
+    }
+
+    async fn take(&mut self, delivery: Delivery<FrameBlock>) -> Result<(), IdentifyError> {
+        let input = match delivery {
+            Delivery::Block(block) => {
+                self.epoch = block.header.epoch;
+                if block.state == StreamState::Ended {
+                    debug!(structure = self.keys.structure().as_str(), "last frames have come");
+                }
+                Input::Frames(block)
+            }
+            Delivery::Gap(gap) => Input::Gap { from: gap.from, to: gap.to },
+        };
+        let Some(mut core) = self.core.take() else {
+            return Err(IdentifyError::ThreadLost { structure: self.keys.structure().to_string() });
+        };
+        let work = self.pool.run(move || {
+            let mut outputs = Vec::new();
+            core.handle(input, &mut outputs);
+            (core, outputs)
+        });
+        let Some((core, outputs)) = work.await else {
+            return Err(IdentifyError::ThreadLost { structure: self.keys.structure().to_string() });
+        };
+        let done = core.done();
+        self.core = Some(core);
+        for output in outputs {
+            self.put(output).await?;
+        }
+        self.progress.set(self.epoch, done, self.last_time_ns.unwrap_or(i64::MIN));
+        Ok(())
+    }
+
+    async fn put(&mut self, output: Output) -> Result<(), IdentifyError> {
+        match output {
+            Output::Estimates(block) => {
+                if let (Some(grid), Some(last)) = (block.grid(), block.estimates.len().checked_sub(1)) {
+                    self.last_time_ns = Some(grid.time_ns(block.header.sequence + last as u64));
+                }
+                self.estimates.put(block).await?;
+            }
+            Output::Parameter(display) => {
+                if let Some(publisher) = self.parameters.get(&display.parameter) {
+                    publisher.put(&display).await?;
+                }
+            }
+            Output::Noise(display) => {
+                if let Some(publisher) = self.noise.get(&display.name) {
+                    publisher.put(&display).await?;
+                }
+            }
+            Output::Event(event) => {
+                warn!(structure = event.structure.as_str(), what = event.what, why = event.why, "event");
+                self.events.put(&event).await?;
+            }
+        }
+        Ok(())
+    }
+
+    async fn put_status(&self) -> Result<(), IdentifyError> {
+        #[expect(clippy::disallowed_methods, reason = "the status tells the lag behind the wall clock")]
+        let now = SystemTime::now();
+        let now_ns = now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64);
+        let core = self.core.as_ref();
+        let status = Status {
+            structure: self.keys.structure().clone(),
+            service: self.service.clone(),
+            id: self.id.clone(),
+            time_ns: now_ns,
+            lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 * 1e-9),
+            done: core.map_or(0, Identification::done),
+            drops: self.frames.counts().drops(),
+            restarts: core.map_or(0, Identification::restarts),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+        };
+        Ok(self.status.put(&status).await?)
+    }
+}

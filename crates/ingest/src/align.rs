@@ -1,0 +1,311 @@
+//! Samples of many nodes to frames: no clock, no network.
+//!
+//! Frame k is at t0 + round(k·10⁹/rate); t0 is the earliest first sample of the nodes. A sample goes to the nearest frame
+//! within the tolerance and is never interpolated; of two in one frame the first counts. A frame is closed when each node
+//! has delivered it, has delivered something later, has ended or is lost, or when its lateness is over. So the frames do
+//! not depend on the order in which blocks of different nodes arrive, nor on how the samples are cut into blocks, as long
+//! as no lateness is over.
+
+use spandrel_bus::{FrameBlock, Header, SampleBlock, StreamState, TimeGrid};
+
+use crate::counts::Counts;
+use crate::layout::Layout;
+use crate::node_queue::{NodeQueue, Presence};
+
+/// Most frames of one block.
+const BLOCK_FRAMES: usize = 512;
+
+/// A hole in the time of all nodes longer than this, in frames, is not filled with empty frames: a new run starts.
+const LONGEST_HOLE: i64 = 100_000;
+
+/// What the alignment reacts to; `node` is the place in the layout.
+#[derive(Clone, Debug)]
+pub enum Input {
+    /// The next samples of a node, in order.
+    Samples {
+        /// The node.
+        node: usize,
+        /// Its samples.
+        block: SampleBlock,
+    },
+    /// A node is gone without a word: frames no longer wait for it. Its next samples take it back.
+    Lost {
+        /// The node.
+        node: usize,
+    },
+    /// Lateness is over for frames up to this time: they no longer wait for anybody.
+    Deadline {
+        /// Measurement time, ns since the Unix epoch.
+        time_ns: i64,
+    },
+}
+
+/// The alignment of one structure.
+#[derive(Debug)]
+pub struct Alignment {
+    layout: Layout,
+    queues: Vec<NodeQueue>,
+    source: String,
+    epoch: u64,
+    run: Option<Run>,
+    deadline_ns: i64,
+    ended: bool,
+    counts: Counts,
+}
+
+/// The frames from one t0 on.
+#[derive(Debug)]
+struct Run {
+    grid: TimeGrid,
+    next: u64,
+    open: Vec<f64>,
+}
+
+impl Alignment {
+    /// An alignment whose frames carry the id of the source and, in the first run, this epoch.
+    #[must_use]
+    pub fn new(layout: Layout, source: String, epoch: u64) -> Self {
+        let queues = layout.nodes().iter().map(|node| NodeQueue::new(node.ranges.clone())).collect();
+        Self {
+            layout,
+            queues,
+            source,
+            epoch,
+            run: None,
+            deadline_ns: i64::MIN,
+            ended: false,
+            counts: Counts::default(),
+        }
+    }
+
+    /// What did not become part of a frame so far.
+    #[must_use]
+    pub fn counts(&self) -> &Counts {
+        &self.counts
+    }
+
+    /// Takes an input; the frames that it closes are appended to `blocks`, in order.
+    pub fn handle(&mut self, input: Input, blocks: &mut Vec<FrameBlock>) {
+        let given = blocks.len();
+        match input {
+            Input::Samples { node, block } => self.take(node, block, blocks),
+            Input::Lost { node } => {
+                if let Some(queue) = self.queues.get_mut(node).filter(|queue| queue.presence == Presence::Expected) {
+                    queue.presence = Presence::Lost;
+                }
+            }
+            Input::Deadline { time_ns } => self.deadline_ns = self.deadline_ns.max(time_ns),
+        }
+        self.close_frames(blocks);
+        self.end_if_over(given, blocks);
+    }
+
+    fn take(&mut self, node: usize, block: SampleBlock, blocks: &mut Vec<FrameBlock>) {
+        let known = self.layout.nodes().get(node).is_some_and(|n| n.name.as_str() == block.header.source);
+        if !known {
+            self.counts.unknown_node += 1;
+            return;
+        }
+        if usize::from(block.channels) != self.queues[node].channels() {
+            self.counts.wrong_channels += 1;
+            return;
+        }
+        if self.ended {
+            // All nodes had ended: whoever begins again begins a new run.
+            self.next_run();
+            self.ended = false;
+            for queue in self.queues.iter_mut().filter(|queue| queue.presence == Presence::Ended) {
+                queue.presence = Presence::Expected;
+            }
+        }
+        if self.is_behind(node, &block) {
+            self.queues[node].park(block, &mut self.counts);
+            let expected = |queue: &&NodeQueue| queue.presence == Presence::Expected;
+            if self.queues.iter().filter(expected).all(NodeQueue::is_parked) {
+                self.go_back(blocks);
+            }
+            return;
+        }
+        self.queues[node].drop_parked(&mut self.counts);
+        self.push(node, &block);
+    }
+
+    fn push(&mut self, node: usize, block: &SampleBlock) {
+        self.queues[node].epoch = Some(block.header.epoch);
+        self.queues[node].push(block, &mut self.counts);
+    }
+
+    fn next_run(&mut self) {
+        if self.run.take().is_some() {
+            self.epoch += 1;
+        }
+    }
+
+    /// Whether a block belongs to frames that are closed, and not just because it is late.
+    ///
+    /// So it is when a record is replayed again after its source was killed, or when clocks were set far back.
+    fn is_behind(&self, node: usize, block: &SampleBlock) -> bool {
+        let Some(run) = &self.run else {
+            return false;
+        };
+        let queue = &self.queues[node];
+        let restarted = queue.epoch.is_some_and(|epoch| block.header.epoch > epoch);
+        let number = run.grid.nearest(block.header.time_ns);
+        let next = run.next as i64;
+        number < next && (restarted || queue.is_parked() || number.saturating_add(LONGEST_HOLE) < next)
+    }
+
+    /// All nodes have gone back: alone each would be late for ever, together they begin a new run.
+    fn go_back(&mut self, blocks: &mut Vec<FrameBlock>) {
+        self.flush(StreamState::Ended, blocks);
+        self.next_run();
+        self.deadline_ns = i64::MIN;
+        for node in 0..self.queues.len() {
+            for block in self.queues[node].unpark() {
+                self.push(node, &block);
+            }
+        }
+    }
+
+    /// Time of the earliest sample that waits, if the first frame can be told: t0 must not depend on who came first.
+    fn first_sample_ns(&self) -> Option<i64> {
+        let earliest = self.queues.iter().filter_map(NodeQueue::first_ns).min()?;
+        let unheard = |queue: &NodeQueue| queue.first_ns().is_none() && queue.presence == Presence::Expected;
+        let may_start = earliest <= self.deadline_ns || !self.queues.iter().any(unheard);
+        may_start.then_some(earliest)
+    }
+
+    fn close_frames(&mut self, blocks: &mut Vec<FrameBlock>) {
+        loop {
+            if self.run.is_none() {
+                let grid = self.first_sample_ns().and_then(|t0| TimeGrid::new(t0, self.layout.sampling_rate_hz()));
+                self.run = grid.map(|grid| Run { grid, next: 0, open: Vec::new() });
+            }
+            match self.next_frame() {
+                NextFrame::Wait => break,
+                NextFrame::Close => self.close_frame(blocks),
+                NextFrame::NewRun => {
+                    self.flush(StreamState::Ended, blocks);
+                    self.next_run();
+                }
+            }
+        }
+        self.flush(StreamState::Running, blocks);
+    }
+
+    /// Whether the next frame can be closed; drops the samples that belong to no open frame.
+    fn next_frame(&mut self) -> NextFrame {
+        let Some(run) = &self.run else {
+            return NextFrame::Wait;
+        };
+        let next = run.next as i64;
+        let mut earliest: Option<i64> = None;
+        let mut waits = false;
+        for queue in &mut self.queues {
+            let number = first_usable(queue, run, self.layout.tolerance_ns(), &mut self.counts);
+            waits |= number.is_none() && queue.presence == Presence::Expected;
+            earliest = earliest.into_iter().chain(number).min();
+        }
+        let Some(earliest) = earliest else {
+            return NextFrame::Wait; // frames are made of samples: without any, there is none to close
+        };
+        if waits && run.grid.time_ns(run.next) > self.deadline_ns {
+            return NextFrame::Wait;
+        }
+        if earliest - next > LONGEST_HOLE { NextFrame::NewRun } else { NextFrame::Close }
+    }
+
+    fn close_frame(&mut self, blocks: &mut Vec<FrameBlock>) {
+        let Some(run) = &mut self.run else {
+            return;
+        };
+        let start = run.open.len();
+        run.open.resize(start + self.layout.channel_count(), f64::NAN);
+        let mut first = start;
+        for queue in &mut self.queues {
+            let frame = &mut run.open[first..first + queue.channels()];
+            first += queue.channels();
+            match queue.first_ns() {
+                Some(time_ns) if run.grid.nearest(time_ns) == run.next as i64 => queue.pop_into(frame),
+                // An ended node is not missing; that it has ended may be known now or later, hence the first condition.
+                later => self.counts.missing += u64::from(later.is_some() || queue.presence == Presence::Expected),
+            }
+        }
+        run.next += 1;
+        self.counts.frames += 1;
+        if run.open.len() >= BLOCK_FRAMES * self.layout.channel_count() {
+            self.flush(StreamState::Running, blocks);
+        }
+    }
+
+    /// Puts the closed frames into a block; an end is put even without frames.
+    fn flush(&mut self, state: StreamState, blocks: &mut Vec<FrameBlock>) {
+        let Some(run) = &mut self.run else {
+            return;
+        };
+        if run.open.is_empty() && state == StreamState::Running {
+            return;
+        }
+        let values = std::mem::take(&mut run.open);
+        let sequence = run.next - (values.len() / self.layout.channel_count()) as u64;
+        blocks.push(FrameBlock {
+            header: Header {
+                source: self.source.clone(),
+                epoch: self.epoch,
+                sequence,
+                time_ns: run.grid.time_ns(sequence),
+            },
+            t0_ns: run.grid.start_ns(),
+            sampling_rate_hz: self.layout.sampling_rate_hz(),
+            channels: self.layout.channel_count() as u16, // at most MAX_CHANNELS, checked by Layout
+            values,
+            state,
+        });
+    }
+
+    fn end_if_over(&mut self, given: usize, blocks: &mut Vec<FrameBlock>) {
+        let over = |queue: &NodeQueue| queue.first_ns().is_none() && queue.presence != Presence::Expected;
+        let has_ended = self.queues.iter().any(|queue| queue.presence == Presence::Ended);
+        if self.ended || self.run.is_none() || !has_ended || !self.queues.iter().all(over) {
+            return;
+        }
+        self.ended = true;
+        // The end travels with the last frames, where this input closed some.
+        match blocks[given..].last_mut().filter(|block| block.header.epoch == self.epoch) {
+            Some(last) => last.state = StreamState::Ended,
+            None => self.flush(StreamState::Ended, blocks),
+        }
+    }
+}
+
+enum NextFrame {
+    /// A node may still deliver it.
+    Wait,
+    /// It is complete, or waits for nobody.
+    Close,
+    /// The next sample of any node is too far away.
+    NewRun,
+}
+
+/// Number of the frame of the first sample that can still be used; those before it are dropped and counted.
+fn first_usable(queue: &mut NodeQueue, run: &Run, tolerance_ns: i64, counts: &mut Counts) -> Option<i64> {
+    while let Some(time_ns) = queue.first_ns() {
+        let number = run.grid.nearest(time_ns);
+        let Some(frame) = u64::try_from(number).ok().filter(|frame| *frame >= run.next) else {
+            let just_closed = number.saturating_add(1) == run.next as i64;
+            let count = if just_closed { &mut counts.duplicate } else { &mut counts.late };
+            *count += 1;
+            queue.pop();
+            continue;
+        };
+        if run.grid.time_ns(frame).abs_diff(time_ns) as i64 <= tolerance_ns {
+            return Some(number);
+        }
+        counts.off_grid += 1;
+        queue.pop();
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,24 @@
+//! What can keep ingest from starting, or end it.
+
+use spandrel_bus::{BusError, NameError};
+
+use crate::layout::LayoutError;
+
+/// Errors of ingest.
+#[derive(Debug, thiserror::Error)]
+pub enum IngestError {
+    /// The structure cannot be made into frames.
+    #[error("nodes of structure {structure} make no frames")]
+    Layout {
+        /// The structure.
+        structure: String,
+        /// Why.
+        source: LayoutError,
+    },
+    /// A name is no chunk of a key expression.
+    #[error("name is no key")]
+    Name(#[from] NameError),
+    /// The bus refused a declaration or is closed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+}

@@ -1,0 +1,135 @@
+//! The samples of one node that wait for their frames.
+
+use std::collections::VecDeque;
+
+use spandrel_bus::{Block, SampleBlock, StreamState};
+
+use crate::counts::Counts;
+
+/// Most samples that wait; more are dropped and counted, because a node may be ahead for ever with a wrong clock.
+const MAX_WAITING: usize = 1 << 17;
+/// Most blocks that are put aside; enough for what a replay has on the way when it is started again.
+const MAX_PARKED: usize = 1 << 13;
+
+/// Whether samples of a node are to be waited for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Presence {
+    /// More will come.
+    Expected,
+    /// The node has said that this was all.
+    Ended,
+    /// The node is gone without a word.
+    Lost,
+}
+
+/// Samples in the order of their time.
+#[derive(Debug)]
+pub(crate) struct NodeQueue {
+    ranges: Vec<f64>,
+    times_ns: VecDeque<i64>,
+    values: VecDeque<f64>,
+    pub(crate) presence: Presence,
+    /// Epoch of the node's last block.
+    pub(crate) epoch: Option<u64>,
+    /// Blocks of a time long gone, put aside until it is clear whether all nodes have gone back to it.
+    parked: VecDeque<SampleBlock>,
+}
+
+impl NodeQueue {
+    pub(crate) fn new(ranges: Vec<f64>) -> Self {
+        Self {
+            ranges,
+            times_ns: VecDeque::new(),
+            values: VecDeque::new(),
+            presence: Presence::Expected,
+            epoch: None,
+            parked: VecDeque::new(),
+        }
+    }
+
+    pub(crate) fn channels(&self) -> usize {
+        self.ranges.len()
+    }
+
+    /// Time of the first sample that waits, ns.
+    pub(crate) fn first_ns(&self) -> Option<i64> {
+        self.times_ns.front().copied()
+    }
+
+    pub(crate) fn is_parked(&self) -> bool {
+        !self.parked.is_empty()
+    }
+
+    /// Puts a block of a time long gone aside.
+    pub(crate) fn park(&mut self, block: SampleBlock, counts: &mut Counts) {
+        if self.parked.len() < MAX_PARKED {
+            self.parked.push_back(block);
+        } else {
+            counts.overflowed += block.count();
+        }
+    }
+
+    /// The blocks put aside, which count from now on.
+    pub(crate) fn unpark(&mut self) -> VecDeque<SampleBlock> {
+        std::mem::take(&mut self.parked)
+    }
+
+    /// Drops the blocks put aside: the node alone had gone back.
+    pub(crate) fn drop_parked(&mut self, counts: &mut Counts) {
+        counts.late += self.unpark().iter().map(Block::count).sum::<u64>();
+    }
+
+    /// Takes the samples of a block that has the right channels.
+    pub(crate) fn push(&mut self, block: &SampleBlock, counts: &mut Counts) {
+        let Some(grid) = block.grid() else {
+            return; // a checked block has a grid
+        };
+        for (number, sample) in (0..).zip(block.iter()) {
+            let time_ns = grid.time_ns(number);
+            // The clock of the node has gone back: what was ahead of it was wrong.
+            while self.times_ns.back().is_some_and(|last| *last >= time_ns) {
+                self.times_ns.pop_back();
+                self.values.truncate(self.values.len() - self.channels());
+                counts.retracted += 1;
+            }
+            if self.times_ns.len() >= MAX_WAITING {
+                counts.overflowed += 1;
+                continue;
+            }
+            self.times_ns.push_back(time_ns);
+            let checked = sample.iter().zip(&self.ranges).map(|(value, range)| checked(*value, *range, counts));
+            self.values.extend(checked);
+        }
+        self.presence = match block.state {
+            StreamState::Running => Presence::Expected,
+            StreamState::Ended => Presence::Ended,
+        };
+    }
+
+    /// Moves the first sample into its place in a frame.
+    pub(crate) fn pop_into(&mut self, frame: &mut [f64]) {
+        self.times_ns.pop_front();
+        for (place, value) in frame.iter_mut().zip(self.values.drain(..self.ranges.len())) {
+            *place = value;
+        }
+    }
+
+    /// Drops the first sample.
+    pub(crate) fn pop(&mut self) {
+        self.times_ns.pop_front();
+        self.values.drain(..self.ranges.len());
+    }
+}
+
+/// The value, or missing if no sensor can have measured it.
+fn checked(value: f64, range: f64, counts: &mut Counts) -> f64 {
+    if value.is_infinite() {
+        counts.not_finite += 1;
+        return f64::NAN;
+    }
+    if value.abs() > range {
+        counts.out_of_range += 1;
+        return f64::NAN;
+    }
+    value
+}

@@ -1,0 +1,300 @@
+//! Joins the alignment of one structure to the bus.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::future::Future;
+use std::time::Duration;
+
+use spandrel_bus::{
+    Bus, Delivery, DisplayPublisher, FrameBlock, Keys, LiveToken, LiveWatch, Name, NumberedPublisher, NumberedStream,
+    ProgressPublisher, SampleBlock, Service, Start, Status, Stream, StreamSettings,
+};
+use spandrel_structure::Structure;
+use tokio::task::JoinSet;
+use tokio::time::{Instant, MissedTickBehavior, interval};
+use tracing::{info, warn};
+
+use crate::align::{Alignment, Input};
+use crate::error::IngestError;
+use crate::lateness::Lateness;
+use crate::layout::Layout;
+
+/// Frames kept for readers that missed some; larger than the window that a replay keeps.
+pub const FRAMES_KEPT: u64 = 131_072;
+
+/// How often the status is put.
+const STATUS_EVERY: Duration = Duration::from_secs(1);
+/// How often it is decided whether lateness is over.
+const DEADLINE_EVERY: Duration = Duration::from_millis(50);
+/// A node without token is lost when nothing of it has arrived for this long: its last blocks may still be on their way.
+const GRACE: Duration = Duration::from_secs(2);
+/// Blocks of all nodes that wait for the alignment; when it is full, the readers of the nodes wait.
+const BLOCKS_WAITING: usize = 64;
+
+/// How long a frame waits for late samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Waiting {
+    /// For ever, so that the same record gives the same frames: for replay and simulation.
+    Unlimited,
+    /// As long as this after others have delivered it: for sensors that may be silent.
+    Limited(Duration),
+}
+
+/// What one instance of ingest is told.
+#[derive(Clone, Debug)]
+pub struct IngestSettings {
+    /// The instance.
+    pub id: Name,
+    /// Epoch of the first run: higher at each start, such as the wall clock in ns.
+    pub epoch: u64,
+    /// How long frames wait.
+    pub waiting: Waiting,
+}
+
+/// What is known of the token of a node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sign {
+    /// It is there, or has never been there: a sensor need not have one.
+    Present,
+    /// It is gone, but samples may still be on their way.
+    Gone,
+    /// It is gone, and no samples have come since.
+    Lost,
+}
+
+/// The ingest service of one structure.
+#[derive(Debug)]
+pub struct IngestService {
+    core: Alignment,
+    layout: Layout,
+    lateness: Option<Lateness>,
+    started: Instant,
+    nodes: Vec<Stream<SampleBlock>>,
+    last_heard: Vec<Duration>,
+    signs: Vec<Sign>,
+    tokens: LiveWatch,
+    frames: NumberedPublisher<FrameBlock>,
+    progress: ProgressPublisher,
+    status: DisplayPublisher<Status>,
+    keys: Keys,
+    id: Name,
+    service: Name,
+    done: u64,
+    last_time_ns: Option<i64>,
+    token: LiveToken,
+}
+
+impl IngestService {
+    /// Checks everything and joins the bus.
+    ///
+    /// # Errors
+    /// The structure makes no frames, or the bus refuses a declaration.
+    pub async fn start(
+        structure: &Structure,
+        bus: &Bus,
+        keys: Keys,
+        settings: IngestSettings,
+    ) -> Result<Self, IngestError> {
+        let layout = Layout::of(structure)
+            .map_err(|source| IngestError::Layout { structure: structure.name().to_owned(), source })?;
+        Self::start_with(layout, bus, keys, settings).await
+    }
+
+    /// As [`IngestService::start`], for a layout that does not come from a structure file.
+    ///
+    /// # Errors
+    /// The bus refuses a declaration.
+    pub async fn start_with(
+        layout: Layout,
+        bus: &Bus,
+        keys: Keys,
+        settings: IngestSettings,
+    ) -> Result<Self, IngestError> {
+        let IngestSettings { id, epoch, waiting } = settings;
+        let frames = bus.publish_numbered(NumberedStream {
+            key: keys.frames(),
+            buffer_key: keys.recording(),
+            source: id.to_string(),
+            epoch,
+            capacity: FRAMES_KEPT,
+        });
+        let frames = frames.await?;
+        let mut nodes = Vec::new();
+        for node in layout.nodes() {
+            let settings = StreamSettings::new(Start::Beginning);
+            nodes.push(bus.follow(keys.samples(&node.name), keys.buffer(&node.name), settings).await?);
+        }
+        let service = Self {
+            core: Alignment::new(layout.clone(), id.to_string(), epoch),
+            lateness: match waiting {
+                Waiting::Unlimited => None,
+                Waiting::Limited(allowed) => Some(Lateness::new(allowed, nodes.len())),
+            },
+            started: Instant::now(),
+            last_heard: vec![Duration::ZERO; nodes.len()],
+            signs: vec![Sign::Present; nodes.len()],
+            tokens: bus.watch_live(keys.all_live(Service::Sensor)).await?,
+            frames,
+            progress: bus.publish_progress(keys.progress(Service::Ingest), id.to_string()).await?,
+            status: bus.publish_display(keys.status(Service::Ingest, &id)).await?,
+            service: Name::new(Service::Ingest.as_str())?,
+            done: 0,
+            last_time_ns: None,
+            // Last, because sources start when they see it: the readers above are there by then.
+            token: bus.announce(keys.live(Service::Ingest, &id)).await?,
+            layout,
+            nodes,
+            keys,
+            id,
+        };
+        info!(
+            structure = service.keys.structure().as_str(),
+            nodes = service.nodes.len(),
+            channels = service.layout.channel_count(),
+            sampling_rate_hz = service.layout.sampling_rate_hz(),
+            "ingest ready"
+        );
+        Ok(service)
+    }
+
+    /// Runs until `stop`; samples that have arrived are still aligned.
+    ///
+    /// # Errors
+    /// The bus is closed underneath.
+    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), IngestError> {
+        tokio::pin!(stop);
+        let (arrivals, arrived) = flume::bounded(BLOCKS_WAITING);
+        let mut forwarding = JoinSet::new();
+        for (node, stream) in self.nodes.iter().enumerate() {
+            forwarding.spawn(forward(node, stream.deliveries().clone(), arrivals.clone()));
+        }
+        let mut status = interval(STATUS_EVERY);
+        status.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut deadline = interval(DEADLINE_EVERY);
+        deadline.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut known_tokens = BTreeSet::new();
+        loop {
+            // Not biased: at full speed samples never stop, and status and stop must still get their turn.
+            tokio::select! {
+                arrival = arrived.recv_async() => match arrival {
+                    Ok((node, delivery)) => self.take(node, delivery).await?,
+                    Err(flume::RecvError::Disconnected) => break,
+                },
+                tokens = self.tokens.changed() => {
+                    self.compare_tokens(&known_tokens, &tokens);
+                    known_tokens = tokens;
+                }
+                _ = deadline.tick() => self.look_at_the_clock().await?,
+                _ = status.tick() => self.put_status().await?,
+                () = &mut stop => break,
+            }
+        }
+        while let Ok((node, delivery)) = arrived.try_recv() {
+            self.take(node, delivery).await?;
+        }
+        info!(structure = self.keys.structure().as_str(), frames = self.core.counts().frames, "ingest stopped");
+        self.token.withdraw().await?;
+        Ok(())
+    }
+
+    async fn take(&mut self, node: usize, delivery: Delivery<SampleBlock>) -> Result<(), IngestError> {
+        let Delivery::Block(block) = delivery else {
+            return Ok(()); // logged and counted by the stream; to the alignment it is a gap in time
+        };
+        let elapsed = self.started.elapsed();
+        self.last_heard[node] = elapsed;
+        if self.signs[node] == Sign::Lost {
+            self.signs[node] = Sign::Gone;
+        }
+        if let (Some(lateness), Some(grid)) = (&mut self.lateness, block.grid()) {
+            let count = block.iter().count() as u64;
+            if let Some(last) = count.checked_sub(1) {
+                lateness.arrived(node, grid.time_ns(last), elapsed);
+            }
+        }
+        self.handle(Input::Samples { node, block }).await
+    }
+
+    async fn handle(&mut self, input: Input) -> Result<(), IngestError> {
+        let mut blocks = Vec::new();
+        self.core.handle(input, &mut blocks);
+        for block in blocks {
+            let epoch = block.header.epoch;
+            if let Some((number, _)) = block.iter().last() {
+                self.done = number + 1;
+                self.last_time_ns = block.grid().map(|grid| grid.time_ns(number));
+            }
+            self.frames.put(block).await?;
+            self.progress.set(epoch, self.done, self.last_time_ns.unwrap_or(i64::MIN));
+        }
+        Ok(())
+    }
+
+    /// Notes which nodes have come and gone.
+    fn compare_tokens(&mut self, before: &BTreeSet<String>, after: &BTreeSet<String>) {
+        for (node, layout) in self.layout.nodes().iter().enumerate() {
+            let key = self.keys.live(Service::Sensor, &layout.name);
+            match (before.contains(&key), after.contains(&key)) {
+                (true, false) => self.signs[node] = Sign::Gone,
+                (false, true) => self.signs[node] = Sign::Present,
+                _ => {}
+            }
+        }
+    }
+
+    async fn look_at_the_clock(&mut self) -> Result<(), IngestError> {
+        let elapsed = self.started.elapsed();
+        for node in 0..self.nodes.len() {
+            let silent = elapsed.saturating_sub(self.last_heard[node]) >= GRACE;
+            if self.signs[node] == Sign::Gone && silent {
+                self.signs[node] = Sign::Lost;
+                let structure = self.keys.structure().as_str();
+                let name = self.layout.nodes()[node].name.as_str();
+                warn!(structure, node = name, "node is gone, frames no longer wait for it");
+                self.handle(Input::Lost { node }).await?;
+            }
+        }
+        let deadline = self.lateness.as_mut().and_then(|lateness| lateness.deadline_ns(elapsed));
+        match deadline {
+            Some(time_ns) => self.handle(Input::Deadline { time_ns }).await,
+            None => Ok(()),
+        }
+    }
+
+    async fn put_status(&self) -> Result<(), IngestError> {
+        #[expect(clippy::disallowed_methods, reason = "the status tells the lag behind the wall clock")]
+        let now = std::time::SystemTime::now();
+        let since_epoch = now.duration_since(std::time::UNIX_EPOCH);
+        let now_ns = since_epoch.map_or(0, |elapsed| elapsed.as_nanos() as i64);
+        let mut drops: BTreeMap<String, u64> = self.core.counts().drops();
+        for stream in &self.nodes {
+            for (reason, count) in stream.counts().drops() {
+                *drops.entry(reason).or_default() += count;
+            }
+        }
+        let status = Status {
+            structure: self.keys.structure().clone(),
+            service: self.service.clone(),
+            id: self.id.clone(),
+            time_ns: now_ns,
+            lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 * 1e-9),
+            done: self.done,
+            drops,
+            restarts: 0,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+        };
+        Ok(self.status.put(&status).await?)
+    }
+}
+
+/// Hands the deliveries of one node to the common queue; waits where it is full.
+async fn forward(
+    node: usize,
+    deliveries: flume::Receiver<Delivery<SampleBlock>>,
+    arrivals: flume::Sender<(usize, Delivery<SampleBlock>)>,
+) {
+    while let Ok(delivery) = deliveries.recv_async().await {
+        if arrivals.send_async((node, delivery)).await.is_err() {
+            return;
+        }
+    }
+}

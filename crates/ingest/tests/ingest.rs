@@ -1,0 +1,154 @@
+//! Ingest over real Zenoh sessions on the loopback interface, without multicast.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+use std::future::pending;
+use std::net::TcpListener;
+use std::time::Duration;
+
+use spandrel_bus::{
+    Block, Bus, BusConfig, Delivery, FrameBlock, Header, Keys, Name, NumberedPublisher, NumberedStream, SampleBlock,
+    Service, Start, Status, Stream, StreamSettings, StreamState,
+};
+use spandrel_ingest::{IngestService, IngestSettings, Layout, NodeLayout, Waiting};
+use tokio::time::timeout;
+
+/// Only ends a hang.
+const DEADLINE: Duration = Duration::from_secs(60);
+const STEP: i64 = 5_000_000;
+
+async fn pair() -> (Bus, Bus) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
+    drop(listener);
+    let listen = BusConfig { listen: vec![endpoint.clone()], ..BusConfig::default() };
+    let connect = BusConfig { connect: vec![endpoint], ..BusConfig::default() };
+    (Bus::open(&listen).await.unwrap(), Bus::open(&connect).await.unwrap())
+}
+
+fn keys() -> Keys {
+    Keys::parse("test", "tower").unwrap()
+}
+
+fn name(text: &str) -> Name {
+    Name::new(text).unwrap()
+}
+
+async fn start_ingest(bus: &Bus, waiting: Waiting) -> tokio::task::JoinHandle<()> {
+    let node = |text| NodeLayout { name: name(text), ranges: vec![1e9] };
+    let layout = Layout::new(vec![node("base"), node("roof")], 200.0, 0.0025).unwrap();
+    let settings = IngestSettings { id: name("ingest-1"), epoch: 1, waiting };
+    let service = IngestService::start_with(layout, bus, keys(), settings).await.unwrap();
+    tokio::spawn(async move { service.run(pending()).await.unwrap() })
+}
+
+async fn node(bus: &Bus, text: &str) -> NumberedPublisher<SampleBlock> {
+    let stream = NumberedStream {
+        key: keys().samples(&name(text)),
+        buffer_key: keys().buffer(&name(text)),
+        source: text.into(),
+        epoch: 1,
+        capacity: 100_000,
+    };
+    bus.publish_numbered(stream).await.unwrap()
+}
+
+/// Samples `from..to`; the value of a sample is its number.
+fn samples(node: &str, epoch: u64, from: u64, to: u64) -> SampleBlock {
+    SampleBlock {
+        header: Header { source: node.into(), epoch, sequence: from, time_ns: from as i64 * STEP },
+        sampling_rate_hz: 200.0,
+        channels: 1,
+        samples: (from..to).map(|v| v as f64).collect(),
+        state: StreamState::Running,
+    }
+}
+
+async fn frames(bus: &Bus) -> Stream<FrameBlock> {
+    bus.follow(keys().frames(), keys().recording(), StreamSettings::new(Start::Beginning)).await.unwrap()
+}
+
+async fn next(stream: &Stream<FrameBlock>) -> FrameBlock {
+    match timeout(DEADLINE, stream.deliveries().recv_async()).await.expect("no frames").unwrap() {
+        Delivery::Block(block) => block,
+        Delivery::Gap(gap) => panic!("{gap:?}"),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn all_samples_become_frames_however_far_one_node_leads() {
+    let (first, second) = pair().await;
+    let ingest = start_ingest(&second, Waiting::Unlimited).await;
+    let (base, roof) = (node(&first, "base").await, node(&first, "roof").await);
+    let stream = frames(&first).await;
+    for (publisher, node, size) in [(base, "base", 10), (roof, "roof", 16)] {
+        for block in 0..20_000 / size {
+            publisher.put(samples(node, 1, block * size, (block + 1) * size)).await.unwrap();
+        }
+        if node == "base" {
+            // Kept: a node's samples can be fetched as long as the node is there.
+            std::mem::forget(publisher);
+            continue;
+        }
+        let mut done = 0;
+        while done < 20_000 {
+            let block = next(&stream).await;
+            assert_eq!(block.header.sequence, done);
+            for (number, frame) in block.iter() {
+                assert_eq!(frame, [number as f64, number as f64]);
+            }
+            done = block.end();
+        }
+    }
+    ingest.abort();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_that_is_gone_is_no_longer_waited_for() {
+    let (first, second) = pair().await;
+    let ingest = start_ingest(&second, Waiting::Unlimited).await;
+    let (base, roof) = (node(&first, "base").await, node(&first, "roof").await);
+    let token = first.announce(keys().live(Service::Sensor, &name("roof"))).await.unwrap();
+    let stream = frames(&first).await;
+    roof.put(samples("roof", 1, 0, 1)).await.unwrap();
+    base.put(samples("base", 1, 0, 3)).await.unwrap();
+    assert_eq!(next(&stream).await.values, [0.0, 0.0]);
+    token.withdraw().await.unwrap();
+    let alone = next(&stream).await;
+    assert_eq!(alone.header.sequence, 1);
+    assert!(alone.values[0] == 1.0 && alone.values[1].is_nan());
+    ingest.abort();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_silent_node_is_waited_for_as_long_as_allowed_only() {
+    let (first, second) = pair().await;
+    let ingest = start_ingest(&second, Waiting::Limited(Duration::from_millis(200))).await;
+    let base = node(&first, "base").await;
+    let stream = frames(&first).await;
+    base.put(samples("base", 1, 0, 3)).await.unwrap();
+    let block = next(&stream).await;
+    assert!(block.values[0] == 0.0 && block.values[1].is_nan());
+    ingest.abort();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_status_counts_what_was_refused() {
+    let (first, second) = pair().await;
+    let ingest = start_ingest(&second, Waiting::Unlimited).await;
+    let statuses = first.subscribe::<Status>(keys().all_statuses(), 16).await.unwrap();
+    let base = node(&first, "base").await;
+    let mut wrong = samples("base", 1, 0, 4);
+    wrong.channels = 2;
+    base.put(wrong).await.unwrap();
+    let counted = async {
+        loop {
+            let (_, status) = statuses.messages().recv_async().await.unwrap();
+            if status.drops.get("wrong-channels") == Some(&1) {
+                return;
+            }
+        }
+    };
+    timeout(DEADLINE, counted).await.unwrap();
+    ingest.abort();
+}

@@ -1,0 +1,149 @@
+//! Which column of a file is which channel, and how its numbers become SI.
+
+use crate::{Quantity, RecordError};
+
+/// Name of the time column where a mapping names no other.
+const DEFAULT_TIME_COLUMN: &str = "time";
+
+/// Says where each channel and the time stand in a file; the order of the channels is that of the rows read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ColumnMapping {
+    time_column: String,
+    channels: Vec<ChannelColumn>,
+}
+
+impl ColumnMapping {
+    /// Maps the given channels, with the time in column `time`.
+    pub fn new(channels: Vec<ChannelColumn>) -> Self {
+        Self { time_column: DEFAULT_TIME_COLUMN.to_owned(), channels }
+    }
+
+    /// Takes each channel from the column of its own name, in SI units.
+    pub fn by_name<S: Into<String>>(channels: impl IntoIterator<Item = S>) -> Self {
+        Self::new(channels.into_iter().map(ChannelColumn::new).collect())
+    }
+
+    /// Takes the time from the column of this name.
+    pub fn with_time_column(self, name: impl Into<String>) -> Self {
+        Self { time_column: name.into(), ..self }
+    }
+
+    /// Name of the column of the time.
+    pub fn time_column(&self) -> &str {
+        &self.time_column
+    }
+
+    /// The channels in the order of the values of a row.
+    pub fn channels(&self) -> &[ChannelColumn] {
+        &self.channels
+    }
+}
+
+/// One channel: its column, and the way from the number in the file to SI.
+///
+/// value in SI = SI unit from unit of the column × (scale × number in the file + offset)
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChannelColumn {
+    channel: String,
+    column: String,
+    si_from_unit: f64,
+    scale: f64,
+    offset: f64,
+}
+
+impl ChannelColumn {
+    /// Takes `channel` from the column of the same name, in SI units.
+    pub fn new(channel: impl Into<String>) -> Self {
+        let channel = channel.into();
+        Self { column: channel.clone(), channel, si_from_unit: 1.0, scale: 1.0, offset: 0.0 }
+    }
+
+    /// Takes the channel from the column of this name.
+    pub fn with_column(self, name: impl Into<String>) -> Self {
+        Self { column: name.into(), ..self }
+    }
+
+    /// Declares that the channel is a `quantity` in `unit`.
+    ///
+    /// # Errors
+    /// [`RecordError::Unit`] if it is no unit of this quantity.
+    pub fn with_unit(self, unit: &str, quantity: Quantity) -> Result<Self, RecordError> {
+        match quantity.si_from(unit) {
+            Some(si_from_unit) => Ok(Self { si_from_unit, ..self }),
+            None => Err(RecordError::Unit {
+                channel: self.channel,
+                found: unit.to_owned(),
+                quantity: quantity.name(),
+                allowed: quantity.allowed_units(),
+            }),
+        }
+    }
+
+    /// Declares the calibration: `scale` in units of the column per number in the file, `offset` in units of the column.
+    ///
+    /// # Errors
+    /// [`RecordError::Calibration`] if one of them is not finite, or the scale is zero.
+    pub fn with_calibration(self, scale: f64, offset: f64) -> Result<Self, RecordError> {
+        if !scale.is_finite() || scale == 0.0 {
+            return Err(RecordError::Calibration { channel: self.channel, setting: "scale", found: scale });
+        }
+        if !offset.is_finite() {
+            return Err(RecordError::Calibration { channel: self.channel, setting: "offset", found: offset });
+        }
+        Ok(Self { scale, offset, ..self })
+    }
+
+    /// Name of the channel.
+    pub fn channel(&self) -> &str {
+        &self.channel
+    }
+
+    /// Name of the column in the file.
+    pub fn column(&self) -> &str {
+        &self.column
+    }
+
+    /// Takes a number in the file to SI.
+    pub(crate) fn si_from_number(&self, number: f64) -> f64 {
+        let is_si = self.si_from_unit == 1.0 && self.scale == 1.0 && self.offset == 0.0;
+        if is_si {
+            return number; // and not -0.0 + 0.0, which loses the sign and with it the bits
+        }
+        self.si_from_unit * (self.scale * number + self.offset)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn calibration_acts_before_the_unit() {
+        // 2 V at 0.5 g/V with a bias of -0.1 g are 0.9 g.
+        let roof = ChannelColumn::new("roof")
+            .with_unit("g", Quantity::Acceleration)
+            .and_then(|roof| roof.with_calibration(0.5, -0.1))
+            .unwrap();
+        assert!((roof.si_from_number(2.0) - 8.825_985).abs() < 1e-12);
+    }
+
+    #[test]
+    fn negative_zero_in_si_keeps_its_sign() {
+        assert!(ChannelColumn::new("roof").si_from_number(-0.0).is_sign_negative());
+    }
+
+    #[test]
+    fn incompatible_unit_names_found_and_allowed() {
+        let error = ChannelColumn::new("roof").with_unit("kN", Quantity::Velocity).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "channel `roof`: unit is `kN`, must be one of `m/s`, `cm/s`, `mm/s` for velocity"
+        );
+    }
+
+    #[test]
+    fn scale_of_zero_is_refused() {
+        let error = ChannelColumn::new("roof").with_calibration(0.0, 0.0).unwrap_err();
+        assert!(matches!(error, RecordError::Calibration { setting: "scale", .. }));
+    }
+}

@@ -1,0 +1,65 @@
+//! Writes identified parameters: mean and standard deviation of each, one row per frame.
+
+use std::path::Path;
+
+use crate::{CsvWriter, RecordError};
+
+/// Writes estimates as CSV: first column `time` in s, then `NAME.mean` and `NAME.std` of each parameter.
+pub struct EstimateWriter {
+    csv: CsvWriter,
+    row: Vec<f64>,
+}
+
+impl EstimateWriter {
+    /// Creates the file and writes the header.
+    ///
+    /// # Errors
+    /// The file cannot be created or written.
+    pub fn create<S: AsRef<str>>(path: &Path, parameters: &[S]) -> Result<Self, RecordError> {
+        let columns: Vec<String> = parameters
+            .iter()
+            .flat_map(|name| [format!("{}.mean", name.as_ref()), format!("{}.std", name.as_ref())])
+            .collect();
+        Ok(Self { csv: CsvWriter::create(path, &columns)?, row: Vec::with_capacity(columns.len()) })
+    }
+
+    /// Writes one frame: its time in ns, and mean and standard deviation of each parameter (ratios, or SI units).
+    ///
+    /// # Errors
+    /// There is not one pair per parameter, a value is infinite, or the file cannot be written.
+    pub fn write(
+        &mut self,
+        time_ns: i64,
+        mean_and_std: impl IntoIterator<Item = (f64, f64)>,
+    ) -> Result<(), RecordError> {
+        self.row.clear();
+        self.row.extend(mean_and_std.into_iter().flat_map(|(mean, std)| [mean, std]));
+        self.csv.write_row(time_ns, &self.row)
+    }
+
+    /// Writes what is still in memory to the file.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn finish(self) -> Result<(), RecordError> {
+        self.csv.finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_parameter_has_mean_and_std_in_order() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("estimates.csv");
+        let mut writer = EstimateWriter::create(&path, &["storey-1", "storey-2"]).unwrap();
+        writer.write(500_000_000, [(1.0, 0.1), (0.85, 0.02)]).unwrap();
+        writer.finish().unwrap();
+        assert_eq!(
+            std::fs::read_to_string(&path).unwrap(),
+            "time,storey-1.mean,storey-1.std,storey-2.mean,storey-2.std\n0.5,1.0,0.1,0.85,0.02\n"
+        );
+    }
+}

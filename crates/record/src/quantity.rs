@@ -1,0 +1,107 @@
+//! Units that a column may have, and their factors to SI.
+//!
+//! Factors: BIPM, *The International System of Units* (9th edition, 2019), table 8 and section 2.3; standard gravity
+//! g = 9.80665 m/s² by the 3rd CGPM (1901).
+
+use std::f64::consts::PI;
+
+/// A physical quantity that a channel measures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Quantity {
+    /// Acceleration, SI unit m/s².
+    Acceleration,
+    /// Velocity, SI unit m/s.
+    Velocity,
+    /// Displacement, SI unit m.
+    Displacement,
+    /// Force, SI unit N.
+    Force,
+    /// Moment, SI unit N m.
+    Moment,
+    /// Rotation, SI unit rad.
+    Rotation,
+    /// Angular velocity, SI unit rad/s.
+    AngularVelocity,
+    /// Angular acceleration, SI unit rad/s².
+    AngularAcceleration,
+    /// Strain and other ratios, SI unit 1.
+    Strain,
+}
+
+/// Standard gravity in m/s².
+const STANDARD_GRAVITY: f64 = 9.80665;
+const DEGREE: f64 = PI / 180.0;
+
+impl Quantity {
+    /// Units of this quantity with the factor that takes a value to SI; the SI unit comes first.
+    fn units(self) -> &'static [(&'static str, f64)] {
+        match self {
+            Self::Acceleration => &[
+                ("m/s2", 1.0),
+                ("m/s^2", 1.0),
+                ("m/s²", 1.0),
+                ("mm/s2", 1e-3),
+                ("cm/s2", 1e-2),
+                ("gal", 1e-2),
+                ("g", STANDARD_GRAVITY),
+                ("mg", STANDARD_GRAVITY / 1000.0),
+            ],
+            Self::Velocity => &[("m/s", 1.0), ("cm/s", 1e-2), ("mm/s", 1e-3)],
+            Self::Displacement => &[("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("um", 1e-6), ("µm", 1e-6)],
+            Self::Force => &[("N", 1.0), ("kN", 1e3), ("MN", 1e6)],
+            Self::Moment => &[("N m", 1.0), ("Nm", 1.0), ("kN m", 1e3), ("kNm", 1e3)],
+            Self::Rotation => &[("rad", 1.0), ("mrad", 1e-3), ("deg", DEGREE)],
+            Self::AngularVelocity => &[("rad/s", 1.0), ("deg/s", DEGREE)],
+            Self::AngularAcceleration => &[("rad/s2", 1.0), ("rad/s^2", 1.0), ("rad/s²", 1.0), ("deg/s2", DEGREE)],
+            Self::Strain => {
+                &[("1", 1.0), ("m/m", 1.0), ("mm/m", 1e-3), ("microstrain", 1e-6), ("um/m", 1e-6), ("%", 1e-2)]
+            }
+        }
+    }
+
+    /// Factor that takes a value in `unit` to SI; `None` if it is no unit of this quantity.
+    pub fn si_from(self, unit: &str) -> Option<f64> {
+        self.units().iter().find(|(symbol, _)| *symbol == unit).map(|(_, factor)| *factor)
+    }
+
+    /// The units of this quantity, the SI unit first.
+    pub fn allowed_units(self) -> Vec<&'static str> {
+        self.units().iter().map(|(symbol, _)| *symbol).collect()
+    }
+
+    /// The quantity in words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Acceleration => "acceleration",
+            Self::Velocity => "velocity",
+            Self::Displacement => "displacement",
+            Self::Force => "force",
+            Self::Moment => "moment",
+            Self::Rotation => "rotation",
+            Self::AngularVelocity => "angular velocity",
+            Self::AngularAcceleration => "angular acceleration",
+            Self::Strain => "strain",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn factors_are_those_of_the_si_brochure() {
+        assert_eq!(Quantity::Acceleration.si_from("g"), Some(9.80665));
+        assert_eq!(Quantity::Acceleration.si_from("gal"), Some(0.01));
+        assert_eq!(Quantity::Displacement.si_from("mm"), Some(0.001));
+        assert_eq!(Quantity::Force.si_from("kN"), Some(1000.0));
+        assert_eq!(Quantity::Strain.si_from("microstrain"), Some(1e-6));
+        assert_eq!(Quantity::Rotation.si_from("deg"), Some(0.017_453_292_519_943_295));
+    }
+
+    #[test]
+    fn unit_of_another_quantity_is_refused() {
+        assert_eq!(Quantity::Acceleration.si_from("mm"), None);
+        assert_eq!(Quantity::Displacement.si_from("g"), None);
+    }
+}

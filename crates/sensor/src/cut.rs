@@ -1,0 +1,230 @@
+//! Cuts the rows of a structure into the sample blocks of its nodes: no clock, no network.
+
+use spandrel_bus::{Block, Header, Name, NameError, SampleBlock, StreamState, TimeGrid};
+use spandrel_structure::Structure;
+
+/// A sample may be this share of a step away from the even spacing of its block, else a new block starts.
+///
+/// Times written with few digits are not evenly spaced to the nanosecond; a block gives them back evenly. A hundredth of a
+/// step is ten times what the clock of a sensor is good for, and moves no sample to another frame that was not on the edge.
+const UNEVEN_SHARE: f64 = 0.01;
+
+/// One node as the cutter sees it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NodePlan {
+    /// Its name.
+    pub name: Name,
+    /// Its channels.
+    pub channels: u16,
+    /// Its sampling rate, Hz.
+    pub sampling_rate_hz: f64,
+    /// Whether it is slower than the rows: rows without a sample of it are then no missing samples.
+    pub pace: NodePace,
+    /// How far its clock is ahead, ns.
+    pub clock_offset_ns: i64,
+}
+
+/// How a node is sampled, compared with the rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NodePace {
+    /// Each row has a sample of the node, maybe with missing values.
+    EveryRow,
+    /// Rows in between have none.
+    Slower,
+}
+
+impl NodePlan {
+    /// The nodes of a structure, with the clock offsets of its simulation if `simulated`.
+    ///
+    /// # Errors
+    /// A node's name is no chunk of a key expression.
+    pub fn of(structure: &Structure, clocks: Clocks) -> Result<Vec<Self>, NameError> {
+        let offsets = structure.simulation().clock_offsets_s();
+        let nodes = structure.nodes().iter().enumerate().map(|(index, node)| {
+            let offset_s = match clocks {
+                Clocks::Right => 0.0,
+                Clocks::AsSimulated => offsets.get(index).copied().unwrap_or(0.0),
+            };
+            Ok(Self {
+                name: Name::new(node.name())?,
+                channels: node.channels().len() as u16, // a structure has far fewer
+                sampling_rate_hz: node.sampling_rate_hz().unwrap_or(structure.sampling_rate_hz()),
+                pace: node.sampling_rate_hz().map_or(NodePace::EveryRow, |_| NodePace::Slower),
+                clock_offset_ns: (offset_s * 1e9).round() as i64,
+            })
+        });
+        nodes.collect()
+    }
+}
+
+/// Whose clocks are right.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Clocks {
+    /// All: the times of a record are what was measured.
+    Right,
+    /// Off by what the structure file says of its simulation.
+    AsSimulated,
+}
+
+/// Cuts rows into blocks, one open block per node.
+///
+/// A block is given out when the next sample comes, so that the end of a node travels with its last samples.
+#[derive(Debug)]
+pub struct Cutter {
+    nodes: Vec<NodePlan>,
+    open: Vec<SampleBlock>,
+    block_samples: u64,
+}
+
+impl Cutter {
+    /// A cutter whose blocks have at most `block_samples` samples.
+    #[must_use]
+    pub fn new(nodes: Vec<NodePlan>, epoch: u64, block_samples: u64) -> Self {
+        let open = nodes.iter().map(|node| SampleBlock {
+            header: Header { source: node.name.to_string(), epoch, sequence: 0, time_ns: 0 },
+            sampling_rate_hz: node.sampling_rate_hz,
+            channels: node.channels,
+            samples: Vec::new(),
+            state: StreamState::Running,
+        });
+        Self { open: open.collect(), nodes, block_samples: block_samples.max(1) }
+    }
+
+    /// The nodes.
+    #[must_use]
+    pub fn nodes(&self) -> &[NodePlan] {
+        &self.nodes
+    }
+
+    /// Takes the next row; blocks that are complete are appended to `blocks`, each with the place of its node.
+    ///
+    /// Channels that the row lacks are missing.
+    pub fn push(&mut self, time_ns: i64, values: &[f64], blocks: &mut Vec<(usize, SampleBlock)>) {
+        let mut values = values.iter().copied().chain(std::iter::repeat(f64::NAN));
+        for (index, (node, open)) in self.nodes.iter().zip(&mut self.open).enumerate() {
+            let sample: Vec<f64> = values.by_ref().take(usize::from(node.channels)).collect();
+            if node.pace == NodePace::Slower && sample.iter().all(|value| value.is_nan()) {
+                continue;
+            }
+            let time_ns = time_ns.saturating_add(node.clock_offset_ns);
+            let full = open.count() >= self.block_samples;
+            if open.count() > 0 && (full || !continues(open, time_ns)) {
+                let next = empty_after(open);
+                blocks.push((index, std::mem::replace(open, next)));
+            }
+            if open.samples.is_empty() {
+                open.header.time_ns = time_ns;
+            }
+            open.samples.extend(sample);
+        }
+    }
+
+    /// Ends all nodes; their last blocks are appended to `blocks`.
+    pub fn end(&mut self, blocks: &mut Vec<(usize, SampleBlock)>) {
+        for (index, open) in self.open.iter_mut().enumerate() {
+            let next = empty_after(open);
+            let mut last = std::mem::replace(open, next);
+            last.state = StreamState::Ended;
+            blocks.push((index, last));
+        }
+    }
+}
+
+/// Whether a sample of this time is the next of an evenly spaced block.
+fn continues(block: &SampleBlock, time_ns: i64) -> bool {
+    let Some(grid) = TimeGrid::new(block.header.time_ns, block.sampling_rate_hz) else {
+        return false;
+    };
+    let away = grid.time_ns(block.count()).abs_diff(time_ns);
+    away as f64 <= UNEVEN_SHARE * grid.step_ns() as f64
+}
+
+fn empty_after(block: &SampleBlock) -> SampleBlock {
+    let mut next = block.clone();
+    next.skip(block.count());
+    next
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEP: i64 = 5_000_000;
+
+    fn node(name: &str, channels: u16) -> NodePlan {
+        NodePlan {
+            name: Name::new(name).unwrap(),
+            channels,
+            sampling_rate_hz: 200.0,
+            pace: NodePace::EveryRow,
+            clock_offset_ns: 0,
+        }
+    }
+
+    fn cut(nodes: Vec<NodePlan>, block_samples: u64, rows: &[(i64, Vec<f64>)]) -> Vec<(usize, SampleBlock)> {
+        let mut cutter = Cutter::new(nodes, 1, block_samples);
+        let mut blocks = Vec::new();
+        for (time_ns, values) in rows {
+            cutter.push(*time_ns, values, &mut blocks);
+        }
+        cutter.end(&mut blocks);
+        blocks
+    }
+
+    fn of_node(blocks: &[(usize, SampleBlock)], node: usize) -> Vec<&SampleBlock> {
+        blocks.iter().filter(|(index, _)| *index == node).map(|(_, block)| block).collect()
+    }
+
+    #[test]
+    fn each_node_gets_its_channels() {
+        let rows = [(0, vec![1.0, 2.0, 3.0]), (STEP, vec![4.0, 5.0, 6.0])];
+        let blocks = cut(vec![node("a", 2), node("b", 1)], 10, &rows);
+        assert_eq!(of_node(&blocks, 0)[0].samples, [1.0, 2.0, 4.0, 5.0]);
+        assert_eq!(of_node(&blocks, 1)[0].samples, [3.0, 6.0]);
+    }
+
+    #[test]
+    fn blocks_follow_each_other_and_the_last_one_ends() {
+        let rows: Vec<_> = (0..6).map(|n| (n * STEP, vec![n as f64])).collect();
+        let blocks = cut(vec![node("a", 1)], 3, &rows);
+        let heads: Vec<_> = blocks.iter().map(|(_, b)| (b.header.sequence, b.header.time_ns, b.state)).collect();
+        assert_eq!(heads, [(0, 0, StreamState::Running), (3, 3 * STEP, StreamState::Ended)]);
+    }
+
+    #[test]
+    fn a_gap_in_time_starts_a_new_block() {
+        let rows = [(0, vec![1.0]), (STEP, vec![2.0]), (5 * STEP, vec![3.0])];
+        let blocks = cut(vec![node("a", 1)], 10, &rows);
+        let heads: Vec<_> = blocks.iter().map(|(_, b)| (b.header.sequence, b.header.time_ns)).collect();
+        assert_eq!(heads, [(0, 0), (2, 5 * STEP)]);
+    }
+
+    #[test]
+    fn times_with_few_digits_do_not_tear_blocks_apart() {
+        let rows: Vec<_> = (0..100).map(|n: i64| ((n * 25_000_000 / 3) / 10_000 * 10_000, vec![0.0])).collect();
+        let plan = NodePlan { sampling_rate_hz: 120.0, ..node("a", 1) };
+        assert_eq!(cut(vec![plan], 1000, &rows).len(), 1);
+    }
+
+    #[test]
+    fn a_slower_node_has_no_samples_in_between() {
+        let plan = NodePlan { sampling_rate_hz: 100.0, pace: NodePace::Slower, ..node("a", 1) };
+        let rows: Vec<_> = (0..4).map(|n| (n * STEP, vec![if n % 2 == 0 { n as f64 } else { f64::NAN }])).collect();
+        let blocks = cut(vec![plan], 10, &rows);
+        assert_eq!(blocks.len(), 1);
+        assert_eq!(blocks[0].1.samples, [0.0, 2.0]);
+    }
+
+    #[test]
+    fn a_clock_that_is_ahead_shifts_the_times_of_its_node_only() {
+        let ahead = NodePlan { clock_offset_ns: 7, ..node("b", 1) };
+        let blocks = cut(vec![node("a", 1), ahead], 10, &[(100, vec![1.0, 2.0])]);
+        assert_eq!((blocks[0].1.header.time_ns, blocks[1].1.header.time_ns), (100, 107));
+    }
+
+    #[test]
+    fn nodes_end_even_without_samples() {
+        let blocks = cut(vec![node("a", 1)], 10, &[]);
+        assert_eq!((blocks[0].1.count(), blocks[0].1.state), (0, StreamState::Ended));
+    }
+}

@@ -1,0 +1,106 @@
+//! How fast rows may be put: the speed asked for, and the window that keeps a source from running ahead.
+
+use std::time::Duration;
+
+use spandrel_bus::Progress;
+
+/// Speed of a simulation or replay.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Speed {
+    /// This many times as fast as it was measured; positive.
+    Factor(f64),
+    /// As fast as it is identified.
+    Max,
+}
+
+impl Speed {
+    /// When a row is due, measured from the first one; none if at once.
+    #[must_use]
+    pub fn due(self, first_ns: i64, time_ns: i64) -> Option<Duration> {
+        match self {
+            Self::Factor(factor) => {
+                let seconds = time_ns.saturating_sub(first_ns).max(0) as f64 * 1e-9 / factor;
+                Duration::try_from_secs_f64(seconds).ok()
+            }
+            Self::Max => None,
+        }
+    }
+}
+
+/// What may be on the way between a source and the services that it waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Window {
+    /// Its length in measurement time, ns.
+    pub length_ns: i64,
+    /// Distance of two rows, ns.
+    pub step_ns: i64,
+    /// How far the clock of any node is ahead, ns.
+    pub clock_ahead_ns: i64,
+    /// Frames of epochs below this are of an earlier run.
+    pub min_epoch: u64,
+}
+
+impl Window {
+    /// Whether a row of `time_ns` may be put, `put_ns` being the time of the last one put and `first_ns` of the first.
+    ///
+    /// Progress beyond what has been put is that of an earlier run over the same record, and does not count.
+    #[must_use]
+    pub fn admits(&self, time_ns: i64, put_ns: i64, first_ns: i64, progress: Option<&Progress>) -> bool {
+        let furthest = put_ns.saturating_add(self.clock_ahead_ns).saturating_add(self.step_ns);
+        let of_this_run = |p: &&Progress| p.header.epoch >= self.min_epoch && p.header.time_ns <= furthest;
+        let done_ns = progress.filter(of_this_run).map_or(first_ns, |p| p.header.time_ns.max(first_ns));
+        time_ns.saturating_sub(done_ns) <= self.length_ns
+    }
+
+    /// Whether everything up to the last sample, of time `last_ns`, is done.
+    #[must_use]
+    pub fn all_done(&self, last_ns: i64, progress: &Progress) -> bool {
+        // The frame of the last sample is at most half a step before it.
+        let last_frame_ns = last_ns.saturating_sub(self.step_ns);
+        progress.header.epoch >= self.min_epoch && progress.header.time_ns >= last_frame_ns
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use spandrel_bus::Header;
+
+    const WINDOW: Window = Window { length_ns: 100, step_ns: 10, clock_ahead_ns: 0, min_epoch: 5 };
+
+    fn progress(epoch: u64, time_ns: i64) -> Progress {
+        Progress { header: Header { source: "identify".into(), epoch, sequence: 0, time_ns }, done: 0 }
+    }
+
+    #[test]
+    fn a_source_starts_without_progress_and_stops_at_the_window() {
+        assert!(WINDOW.admits(1100, 1090, 1000, None));
+        assert!(!WINDOW.admits(1110, 1100, 1000, None));
+    }
+
+    #[test]
+    fn progress_moves_the_window() {
+        assert!(WINDOW.admits(1150, 1140, 1000, Some(&progress(5, 1050))));
+        assert!(!WINDOW.admits(1160, 1150, 1000, Some(&progress(5, 1050))));
+    }
+
+    #[test]
+    fn progress_of_an_earlier_run_does_not_count() {
+        assert!(!WINDOW.admits(1110, 1100, 1000, Some(&progress(4, 1100))));
+        assert!(!WINDOW.admits(1110, 1100, 1000, Some(&progress(5, 5000))));
+        assert!(!WINDOW.all_done(1100, &progress(4, 1100)));
+    }
+
+    #[test]
+    fn all_is_done_with_the_frame_of_the_last_sample() {
+        assert!(!WINDOW.all_done(1100, &progress(5, 1080)));
+        assert!(WINDOW.all_done(1100, &progress(5, 1095)));
+    }
+
+    #[test]
+    fn speed_is_a_factor_of_measurement_time() {
+        let second = 1_000_000_000;
+        assert_eq!(Speed::Factor(10.0).due(0, 5 * second), Some(Duration::from_millis(500)));
+        assert_eq!(Speed::Max.due(0, 5 * second), None);
+    }
+}

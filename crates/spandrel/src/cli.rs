@@ -1,0 +1,283 @@
+//! The command line.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// Watches over bridges and buildings in real time.
+///
+/// Sensors stream vibration; Spandrel identifies, at the sampling rate, how stiff each part of the structure is and how
+/// sure it is of that, and raises an alert when a part has become softer.
+///
+/// Start with `spandrel demo`.
+#[derive(Debug, Parser)]
+#[command(version, propagate_version = true, max_term_width = 100)]
+pub struct Arguments {
+    #[command(subcommand)]
+    pub command: Command,
+
+    /// Form of the log on standard error.
+    #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]
+    pub log: LogFormat,
+
+    /// Say more on standard error; twice for debugging. RUST_LOG overrides it.
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum LogFormat {
+    /// Lines for people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Show the whole path: a simulated building is damaged on the way, and an alert says so.
+    #[command(after_help = "Example: spandrel demo --speed max --duration 120 --seed 7 --headless --json")]
+    Demo(DemoArguments),
+    /// Run all services of one machine in one process.
+    #[command(after_help = "Example: spandrel run --config spandrel.toml")]
+    Run(ServiceArguments),
+    /// Align the samples of all nodes to frames, and keep them for those who missed some.
+    #[command(after_help = "Example: spandrel ingest --config spandrel.toml")]
+    Ingest(ServiceArguments),
+    /// Identify parameters and noise levels from frames.
+    #[command(after_help = "Example: spandrel identify --config spandrel.toml")]
+    Identify(ServiceArguments),
+    /// Decide on alerts from estimates.
+    #[command(after_help = "Example: spandrel alert --config spandrel.toml")]
+    Alert(ServiceArguments),
+    /// Simulate a structure: to the bus, or to a file.
+    #[command(after_help = "Examples: spandrel simulate tower.toml --record tower.csv --duration 600\n          \
+                            spandrel simulate tower.toml --speed 1 --connect tcp/10.0.0.5:7447")]
+    Simulate(SimulateArguments),
+    /// Send a recording to the bus as its sensor nodes would.
+    #[command(after_help = "Example: spandrel replay week-12.csv --structure tower.toml --speed 10")]
+    Replay(ReplayArguments),
+    /// Identify a recording without a bus, with the same cores and to the same bits.
+    #[command(after_help = "Example: spandrel estimate tower.toml --record week-12.csv --output estimates.csv")]
+    Estimate(EstimateArguments),
+    /// Learn the sound values of the parameters from one or more recordings.
+    #[command(
+        after_help = "Example: spandrel baseline tower.toml --record monday.csv --record friday.csv --output tower.baseline.json"
+    )]
+    Baseline(BaselineArguments),
+    /// Check a structure file: natural frequencies, damping, and what these sensors can tell.
+    #[command(after_help = "Example: spandrel check tower.toml")]
+    Check(CheckArguments),
+    /// Watch parameters and alerts of a running system in this terminal.
+    #[command(after_help = "Example: spandrel watch tower --connect tcp/127.0.0.1:7447")]
+    Watch(WatchArguments),
+    /// Write shell completions to standard output.
+    #[command(after_help = "Example: spandrel completions bash > /etc/bash_completion.d/spandrel")]
+    Completions {
+        /// The shell.
+        shell: clap_complete::Shell,
+    },
+}
+
+/// How to join the bus.
+#[derive(Debug, Clone, Default, Args)]
+#[command(next_help_heading = "Bus")]
+pub struct BusArguments {
+    /// Configuration file; what it says is overridden by variables SPANDREL_…, and those by flags.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// First chunk of all key expressions [default: spandrel].
+    #[arg(long)]
+    pub root: Option<String>,
+    /// Endpoint to listen on, such as tcp/127.0.0.1:7447; may be repeated.
+    #[arg(long, value_name = "ENDPOINT")]
+    pub listen: Vec<String>,
+    /// Endpoint to connect to; may be repeated.
+    #[arg(long, value_name = "ENDPOINT")]
+    pub connect: Vec<String>,
+    /// Zenoh configuration file (JSON5).
+    #[arg(long, value_name = "FILE")]
+    pub zenoh_config: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub struct ServiceArguments {
+    /// Structure file; may be repeated [default: those of the configuration].
+    #[arg(value_name = "STRUCTURE.toml")]
+    pub structures: Vec<PathBuf>,
+    #[command(flatten)]
+    pub bus: BusArguments,
+}
+
+/// How fast data are sent.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Speed {
+    /// So many times real time.
+    Times(f64),
+    /// As fast as they are worked off.
+    Max,
+}
+
+impl std::str::FromStr for Speed {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let allowed = || format!("is `{text}`, must be a positive number or max");
+        match text {
+            "max" => Ok(Self::Max),
+            _ => match text.parse::<f64>() {
+                Ok(times) if times.is_finite() && times > 0.0 => Ok(Self::Times(times)),
+                Ok(_) | Err(_) => Err(allowed()),
+            },
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+pub struct DemoArguments {
+    /// Times real time, or max.
+    #[arg(long, default_value = "10")]
+    pub speed: Speed,
+    /// Length of the simulated record (s).
+    #[arg(long, default_value_t = 120.0, value_name = "SECONDS", value_parser = seconds)]
+    pub duration: f64,
+    /// Seed of excitation and noise.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// No view, only alerts and the result: for scripts.
+    #[arg(long)]
+    pub headless: bool,
+    /// End with one JSON object.
+    #[arg(long)]
+    pub json: bool,
+    /// Another structure file with a [simulation] than the built-in one.
+    #[arg(long, value_name = "STRUCTURE.toml")]
+    pub structure: Option<PathBuf>,
+    #[command(flatten)]
+    pub bus: BusArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct SimulateArguments {
+    /// Structure file.
+    #[arg(value_name = "STRUCTURE.toml")]
+    pub structure: PathBuf,
+    /// Write the record to this file instead of sending it to the bus.
+    #[arg(long, value_name = "OUT.csv")]
+    pub record: Option<PathBuf>,
+    /// Length (s); without it a simulation on the bus goes on until it is stopped, and one to a file takes 120 s.
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    pub duration: Option<f64>,
+    /// Seed of excitation and noise [default: that of the structure file].
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Times real time, or max.
+    #[arg(long, default_value = "1")]
+    pub speed: Speed,
+    #[command(flatten)]
+    pub bus: BusArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct ReplayArguments {
+    /// The recording.
+    pub record: PathBuf,
+    /// Structure file; its [record] table says which column is which channel.
+    #[arg(long, value_name = "STRUCTURE.toml")]
+    pub structure: PathBuf,
+    /// Times real time, or max.
+    #[arg(long, default_value = "1")]
+    pub speed: Speed,
+    #[command(flatten)]
+    pub bus: BusArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct EstimateArguments {
+    /// Structure file.
+    #[arg(value_name = "STRUCTURE.toml")]
+    pub structure: PathBuf,
+    /// The recording.
+    #[arg(long)]
+    pub record: PathBuf,
+    /// Where to write mean and standard deviation of each parameter, one row per frame.
+    #[arg(long, value_name = "ESTIMATES.csv")]
+    pub output: Option<PathBuf>,
+    /// Sound values for alert rules that would learn them.
+    #[arg(long, value_name = "BASELINE.json")]
+    pub baseline: Option<PathBuf>,
+    /// End with one JSON object.
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct BaselineArguments {
+    /// Structure file.
+    #[arg(value_name = "STRUCTURE.toml")]
+    pub structure: PathBuf,
+    /// A recording of the sound structure; several show how it differs from day to day.
+    #[arg(long, required = true)]
+    pub record: Vec<PathBuf>,
+    /// Seconds at the start of each recording that are left out while the filter finds its way.
+    #[arg(long, default_value_t = 10.0, value_name = "SECONDS", value_parser = seconds)]
+    pub skip: f64,
+    /// Where to write the sound values.
+    #[arg(long, value_name = "BASELINE.json")]
+    pub output: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub struct CheckArguments {
+    /// Structure file.
+    #[arg(value_name = "STRUCTURE.toml")]
+    pub structure: PathBuf,
+    /// Length of data (s) for which the standard deviations are given.
+    #[arg(long, default_value_t = 60.0, value_name = "SECONDS", value_parser = seconds)]
+    pub after: f64,
+    /// One JSON object instead of text.
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct WatchArguments {
+    /// The structure [default: all].
+    pub structure: Option<String>,
+    #[command(flatten)]
+    pub bus: BusArguments,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        Ok(_) | Err(_) => Err("must be a positive number of seconds".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn command_line_is_consistent() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn every_subcommand_shows_an_example() {
+        for command in Arguments::command().get_subcommands() {
+            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            assert!(help.contains("Example"), "{} has no example", command.get_name());
+        }
+    }
+
+    #[test]
+    fn speed_is_a_number_or_max() {
+        assert_eq!("max".parse(), Ok(Speed::Max));
+        assert_eq!("10".parse(), Ok(Speed::Times(10.0)));
+        for wrong in ["0", "-1", "fast", "inf", ""] {
+            assert!(wrong.parse::<Speed>().is_err(), "{wrong}");
+        }
+    }
+}

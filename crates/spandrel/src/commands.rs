@@ -1,0 +1,51 @@
+//! The subcommands: each in a file of its own.
+
+mod baseline;
+mod check;
+mod demo;
+mod estimate;
+mod progress;
+mod replay;
+mod run;
+mod simulate;
+mod watch;
+
+use crate::cli::{Arguments, Command};
+use crate::error::AppError;
+use clap::CommandFactory;
+use std::io::Write;
+
+/// Carries out a subcommand.
+///
+/// # Errors
+/// Whatever ends it before its time.
+pub fn run(command: Command) -> Result<(), AppError> {
+    match command {
+        Command::Demo(arguments) => demo::run(arguments),
+        Command::Run(arguments) => run::run(&arguments, run::Services::ALL),
+        Command::Ingest(arguments) => run::run(&arguments, run::Services::INGEST),
+        Command::Identify(arguments) => run::run(&arguments, run::Services::IDENTIFY),
+        Command::Alert(arguments) => run::run(&arguments, run::Services::ALERT),
+        Command::Simulate(arguments) => simulate::run(arguments),
+        Command::Replay(arguments) => replay::run(arguments),
+        Command::Estimate(arguments) => estimate::run(&arguments),
+        Command::Baseline(arguments) => baseline::run(&arguments),
+        Command::Check(arguments) => check::run(arguments),
+        Command::Watch(arguments) => watch::run(arguments),
+        Command::Completions { shell } => {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Arguments::command(), "spandrel", &mut script);
+            print(&String::from_utf8_lossy(&script))
+        }
+    }
+}
+
+/// Writes a result to standard output; a reader that has gone away (`| head`) is no error.
+pub fn print(text: &str) -> Result<(), AppError> {
+    match std::io::stdout().lock().write_all(text.as_bytes()) {
+        Err(source) if source.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(AppError::Io { what: "cannot write to standard output".to_owned(), source })
+        }
+        Ok(()) | Err(_) => Ok(()),
+    }
+}

@@ -1,0 +1,3 @@
+pub fn run(_: crate::cli::CheckArguments) -> Result<(), crate::error::AppError> {
+    Ok(())
+}

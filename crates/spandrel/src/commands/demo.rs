@@ -1,0 +1,138 @@
+//! `spandrel demo`: the whole path in one process, with a building that is damaged on the way.
+
+use super::print;
+use super::simulate::simulate;
+use crate::cli::{DemoArguments, Speed};
+use crate::error::AppError;
+use crate::offline;
+use crate::services::{Running, Watched, block_on, interrupted};
+use crate::settings::Settings;
+use crate::summary::{Collector, Summary};
+use spandrel_bus::{
+    AlertMessage, AlertState, Bus, Delivery, EstimateBlock, Service, Start, StreamSettings, StreamState,
+};
+use spandrel_structure::Structure;
+use std::io::IsTerminal;
+use std::path::Path;
+
+/// The built-in structure: it is an example of the documentation, too.
+const BUILT_IN: &str = include_str!("../../../../docs/examples/demo.toml");
+
+/// Name under which mistakes of the built-in structure would be told.
+const BUILT_IN_NAME: &str = "docs/examples/demo.toml";
+
+/// Alert messages that wait for the collector; far more than a demo makes.
+const ALERTS_WAITING: usize = 4096;
+
+/// Runs the demo and prints what came of it.
+///
+/// # Errors
+/// When the bus cannot be joined or a service fails.
+pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
+    let settings = Settings::load(&arguments.bus)?;
+    let structure = match &arguments.structure {
+        Some(path) => Structure::read(path)?,
+        None => Structure::parse(BUILT_IN, Path::new(BUILT_IN_NAME))?,
+    };
+    let keys = settings.bus.keys(structure.name())?;
+    let watched = [Watched { structure, keys, baseline: None }];
+    let summary = block_on(async {
+        let bus = Bus::open(&settings.bus).await?;
+        let mut running = Running::new();
+        running.start_alert(&bus, &watched).await?;
+        running.start_identify(&bus, &watched, settings.threads).await?;
+        running.start_ingest(&bus, &watched).await?;
+        let shown = !arguments.headless && std::io::stdout().is_terminal();
+        let finished = tokio::select! {
+            collected = show_and_collect(&bus, &watched[0], &arguments, shown) => collected.map(Some),
+            failed = running.failed() => failed.map(|()| None),
+            () = interrupted() => Ok(None),
+        };
+        let stopped = running.stop().await;
+        bus.close().await?;
+        let summary = finished?;
+        stopped.map(|()| summary)
+    })?;
+    match summary {
+        Some(summary) if arguments.json => print(&summary.json()),
+        Some(summary) => print(&summary.text()),
+        None => Ok(()), // stopped on the way
+    }
+}
+
+/// Simulates, and collects until the last estimate and its alerts have come.
+async fn show_and_collect(
+    bus: &Bus,
+    watched: &Watched,
+    arguments: &DemoArguments,
+    shown: bool,
+) -> Result<Summary, AppError> {
+    let Watched { structure, keys, .. } = watched;
+    let frames = (arguments.duration * structure.sampling_rate_hz()).round() as u64;
+    let simulation = simulate(bus, structure, keys, arguments.speed.into(), arguments.seed, Some(frames));
+    let collected = collect(bus, watched, arguments);
+    let both = async { tokio::try_join!(collected, simulation) };
+    if !shown {
+        return both.await.map(|(summary, ())| summary);
+    }
+    let (done, ended) = tokio::sync::oneshot::channel::<()>();
+    let view = super::watch::show(bus, keys.root(), Some(structure.name()), async {
+        let _ = ended.await; // also when the simulation failed
+    });
+    let both = async {
+        let result = both.await;
+        drop(done);
+        result
+    };
+    let (result, viewed) = tokio::join!(both, view);
+    viewed?;
+    result.map(|(summary, ())| summary)
+}
+
+async fn collect(bus: &Bus, watched: &Watched, arguments: &DemoArguments) -> Result<Summary, AppError> {
+    let Watched { structure, keys, .. } = watched;
+    let settings = StreamSettings::new(Start::Beginning);
+    let estimates = bus.follow::<EstimateBlock>(keys.estimates(), keys.estimates_buffer(), settings).await?;
+    let alerts = bus.subscribe::<AlertMessage>(keys.all_alerts(), ALERTS_WAITING).await?;
+    let mut decided = bus.watch_progress(keys.progress(Service::Alert)).await?;
+    let mut collector = offline::collector(structure)?;
+    loop {
+        tokio::select! {
+            delivery = estimates.deliveries().recv_async() => match delivery {
+                Ok(Delivery::Block(block)) => {
+                    collector.take_estimates(&block);
+                    if block.state == StreamState::Ended {
+                        break;
+                    }
+                }
+                Ok(Delivery::Gap(_)) => {}
+                Err(flume::RecvError::Disconnected) => break,
+            },
+            message = alerts.messages().recv_async() => if let Ok((_, message)) = message {
+                tell(&message, &mut collector, arguments)?;
+            },
+        }
+    }
+    let frames = collector.frames();
+    decided.wait_for(|progress| progress.done >= frames).await;
+    while let Ok((_, message)) = alerts.messages().try_recv() {
+        tell(&message, &mut collector, arguments)?;
+    }
+    Ok(collector.finish())
+}
+
+/// Collects an alert, and tells it at once where nothing else shows it.
+fn tell(message: &AlertMessage, collector: &mut Collector, arguments: &DemoArguments) -> Result<(), AppError> {
+    collector.take_message(message);
+    let told = arguments.headless && matches!(message.state, AlertState::Raised | AlertState::Cleared);
+    if told { print(&format!("{:?}: {}\n", message.state, message.why)) } else { Ok(()) }
+}
+
+impl From<Speed> for spandrel_sensor::Speed {
+    fn from(speed: Speed) -> Self {
+        match speed {
+            Speed::Times(factor) => Self::Factor(factor),
+            Speed::Max => Self::Max,
+        }
+    }
+}

@@ -1,0 +1,22 @@
+//! Progress bars, when standard error is a terminal.
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::IsTerminal;
+
+/// Makes a bar of `length` steps; hidden when standard error is no terminal.
+pub fn bar(what: &'static str, length: Option<u64>) -> ProgressBar {
+    let target = match std::io::stderr().is_terminal() {
+        true => ProgressDrawTarget::stderr_with_hz(5),
+        false => ProgressDrawTarget::hidden(),
+    };
+    let (bar, template) = match length {
+        Some(length) => {
+            (ProgressBar::with_draw_target(Some(length), target), "{msg} {bar:40} {percent:>3} % {per_sec} {eta}")
+        }
+        None => (ProgressBar::with_draw_target(None, target), "{msg} {spinner} {human_pos} frames {per_sec}"),
+    };
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
+    }
+    bar.with_message(what)
+}

@@ -1,0 +1,39 @@
+//! `spandrel replay`: a recording to the bus, as its sensor nodes would send it.
+
+use super::progress;
+use crate::cli::ReplayArguments;
+use crate::error::AppError;
+use crate::record_source;
+use crate::services::{block_on, epoch_now, interrupted};
+use crate::settings::Settings;
+use spandrel_bus::{Bus, Service};
+use spandrel_sensor::{Clocks, NodePlan, SensorError, SensorService, SensorSettings, recorded_rows};
+use spandrel_structure::Structure;
+
+/// Replays until the end of the recording, or Ctrl-C.
+///
+/// # Errors
+/// When a file is wrong, or the bus cannot be joined.
+pub fn run(arguments: ReplayArguments) -> Result<(), AppError> {
+    let structure = Structure::read(&arguments.structure)?;
+    let recording = record_source::open(&structure, &arguments.record)?;
+    let settings = Settings::load(&arguments.bus)?;
+    let keys = settings.bus.keys(structure.name())?;
+    let bar = progress::bar("replaying", None);
+    block_on(async {
+        let bus = Bus::open(&settings.bus).await?;
+        let sensor = SensorSettings {
+            speed: arguments.speed.into(),
+            epoch: epoch_now(),
+            wait_for: vec![Service::Ingest, Service::Identify, Service::Alert],
+        };
+        let nodes = NodePlan::of(&structure, Clocks::Right).map_err(SensorError::from)?;
+        let service = SensorService::start(nodes, structure.sampling_rate_hz(), &bus, keys, sensor).await?;
+        let counted = bar.clone();
+        let rows = recorded_rows(recording, 0).inspect(move |_| counted.inc(1));
+        let replayed = service.run(rows, interrupted()).await;
+        bar.finish_and_clear();
+        bus.close().await?;
+        Ok(replayed?)
+    })
+}

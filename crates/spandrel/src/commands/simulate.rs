@@ -1,0 +1,75 @@
+//! `spandrel simulate`: a simulated structure, to the bus or to a file.
+
+use super::{print, progress};
+use crate::cli::SimulateArguments;
+use crate::error::AppError;
+use crate::services::{block_on, epoch_now, interrupted};
+use crate::settings::Settings;
+use spandrel_bus::{Bus, Keys, Service};
+use spandrel_record::CsvWriter;
+use spandrel_sensor::{Clocks, NodePlan, SensorError, SensorService, SensorSettings, Speed, simulated_rows};
+use spandrel_structure::Structure;
+use std::convert::Infallible;
+use std::path::Path;
+
+/// Length of a record (s) when none is asked for.
+const DEFAULT_RECORD_S: f64 = 120.0;
+
+/// Simulates until the time asked for is over, or Ctrl-C.
+///
+/// # Errors
+/// When a file is wrong or cannot be written, or the bus cannot be joined.
+pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
+    let structure = Structure::read(&arguments.structure)?;
+    let seed = arguments.seed.unwrap_or(structure.simulation().seed());
+    let frames = |seconds: f64| (seconds * structure.sampling_rate_hz()).round() as u64;
+    if let Some(path) = &arguments.record {
+        return write_record(&structure, path, seed, frames(arguments.duration.unwrap_or(DEFAULT_RECORD_S)));
+    }
+    let settings = Settings::load(&arguments.bus)?;
+    let keys = settings.bus.keys(structure.name())?;
+    block_on(async {
+        let bus = Bus::open(&settings.bus).await?;
+        let frames = arguments.duration.map(frames);
+        let simulated = tokio::select! {
+            simulated = simulate(&bus, &structure, &keys, arguments.speed.into(), seed, frames) => simulated,
+            () = interrupted() => Ok(()),
+        };
+        bus.close().await?;
+        simulated
+    })
+}
+
+/// Sends a simulation to the bus as its sensor nodes would, and waits until alert has decided on all of it.
+///
+/// # Errors
+/// When the bus is closed underneath.
+pub async fn simulate(
+    bus: &Bus,
+    structure: &Structure,
+    keys: &Keys,
+    speed: Speed,
+    seed: u64,
+    frames: Option<u64>,
+) -> Result<(), AppError> {
+    let epoch = epoch_now();
+    let settings = SensorSettings { speed, epoch, wait_for: vec![Service::Ingest, Service::Identify, Service::Alert] };
+    let nodes = NodePlan::of(structure, Clocks::AsSimulated).map_err(SensorError::from)?;
+    let service = SensorService::start(nodes, structure.sampling_rate_hz(), bus, keys.clone(), settings).await?;
+    let rows = simulated_rows(structure, seed, epoch as i64, frames);
+    Ok(service.run(rows.map(Ok::<_, Infallible>), std::future::pending()).await?)
+}
+
+fn write_record(structure: &Structure, path: &Path, seed: u64, frames: u64) -> Result<(), AppError> {
+    let names: Vec<&str> = structure.channels().map(|channel| channel.name()).collect();
+    let mut writer = CsvWriter::create(path, &names)?;
+    let bar = progress::bar("simulating", Some(frames));
+    for row in simulated_rows(structure, seed, 0, Some(frames)) {
+        writer.write_row(row.time_ns, &row.values)?;
+        bar.inc(1);
+    }
+    writer.finish()?;
+    bar.finish_and_clear();
+    let (name, seconds) = (structure.name(), frames as f64 / structure.sampling_rate_hz());
+    print(&format!("{}: {frames} frames of {name}, {seconds} s, seed {seed}\n", path.display()))
+}

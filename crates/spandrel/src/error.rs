@@ -1,0 +1,138 @@
+//! What ends the program, how it is told, and with which exit code.
+
+use spandrel_alert::AlertError;
+use spandrel_bus::{BusError, NameError};
+use spandrel_identify::IdentifyError;
+use spandrel_ingest::IngestError;
+use spandrel_record::RecordError;
+use spandrel_sensor::SensorError;
+use spandrel_structure::StructureError;
+use std::error::Error;
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use thiserror::Error;
+
+/// Exit code of bad usage and of bad input files.
+const BAD_INPUT: u8 = 2;
+
+/// Why the program ends.
+#[derive(Debug, Error)]
+pub enum AppError {
+    /// A structure file is wrong.
+    #[error(transparent)]
+    Structure(#[from] StructureError),
+    /// A recording is wrong.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The configuration file is not there.
+    #[error("{}: no such configuration file", path.display())]
+    NoConfiguration {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The configuration is wrong.
+    #[error(
+        "configuration cannot be used (file {}, variables SPANDREL_…)",
+        path.as_deref().map_or_else(|| "none".to_owned(), |path| path.display().to_string())
+    )]
+    Configuration {
+        /// The file, if there is one.
+        path: Option<PathBuf>,
+        /// What is wrong.
+        source: Box<config::ConfigError>,
+    },
+    /// No structure was named.
+    #[error("no structure: name a structure file, or list some under `structures` in the configuration")]
+    NoStructure,
+    /// Two structure files have one name.
+    #[error("{} and {} both name their structure `{name}`, names must differ", first.display(), second.display())]
+    SameStructure {
+        /// The name.
+        name: String,
+        /// One file.
+        first: PathBuf,
+        /// The other.
+        second: PathBuf,
+    },
+    /// The root or a name cannot be a key.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// The bus cannot be joined, or is closed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The ingest service failed.
+    #[error(transparent)]
+    Ingest(#[from] IngestError),
+    /// The identification failed.
+    #[error(transparent)]
+    Identify(#[from] IdentifyError),
+    /// The alert service failed.
+    #[error(transparent)]
+    Alert(#[from] AlertError),
+    /// A simulated or replayed sensor failed.
+    #[error(transparent)]
+    Sensor(#[from] SensorError),
+    /// A file, thread or terminal failed.
+    #[error("{what}")]
+    Io {
+        /// What was tried.
+        what: String,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// A service ended by a panic.
+    #[error("{service} ended unexpectedly")]
+    Panicked {
+        /// The service.
+        service: &'static str,
+        /// What the runtime says.
+        source: tokio::task::JoinError,
+    },
+    /// A recording has no frame from which a baseline could be learnt.
+    #[error("{}: has no frame after the first {skip_s} s, nothing can be learnt from it", path.display())]
+    NothingLearnt {
+        /// The recording.
+        path: PathBuf,
+        /// Seconds left out at its start.
+        skip_s: f64,
+    },
+}
+
+impl AppError {
+    /// Bad input files and bad usage are 2, everything else is 1.
+    pub fn exit_code(&self) -> ExitCode {
+        match self {
+            Self::Structure(_)
+            | Self::Record(_)
+            | Self::NoConfiguration { .. }
+            | Self::Configuration { .. }
+            | Self::NoStructure
+            | Self::SameStructure { .. }
+            | Self::NothingLearnt { .. }
+            | Self::Name(_) => ExitCode::from(BAD_INPUT),
+            Self::Bus(_)
+            | Self::Ingest(_)
+            | Self::Identify(_)
+            | Self::Alert(_)
+            | Self::Sensor(_)
+            | Self::Io { .. }
+            | Self::Panicked { .. } => ExitCode::FAILURE,
+        }
+    }
+
+    /// The error and its causes, for a person.
+    pub fn report(&self) -> String {
+        let mut text = format!("error: {self}\n");
+        let mut cause = self.source();
+        while let Some(error) = cause {
+            let line = error.to_string();
+            if !text.contains(&line) {
+                // writing to a String does not fail
+                let _ = writeln!(text, "  because: {line}");
+            }
+            cause = error.source();
+        }
+        text
+    }
+}

@@ -1,0 +1,25 @@
+//! Logs go to standard error, so that standard output holds results only.
+
+use crate::cli::LogFormat;
+use std::io::IsTerminal;
+use tracing_subscriber::EnvFilter;
+
+/// Starts logging: warnings, with `-v` also what is rare and expected; `RUST_LOG` overrides both.
+pub fn start(format: LogFormat, verbose: u8) {
+    let level = match verbose {
+        0 => "warn",
+        1 => "info",
+        2 => "debug",
+        _ => "trace",
+    };
+    // Zenoh speaks up about links that come and go; that is told by our own services.
+    let fallback = format!(
+        "error,spandrel={level},spandrel_bus={level},spandrel_sensor={level},spandrel_ingest={level},spandrel_identify={level},spandrel_alert={level},spandrel_structure={level},spandrel_record={level}"
+    );
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(fallback));
+    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    match format {
+        LogFormat::Text => builder.with_ansi(std::io::stderr().is_terminal()).init(),
+        LogFormat::Json => builder.json().init(),
+    }
+}

@@ -1,0 +1,104 @@
+//! The cores of the services one after the other, without a bus: the same numbers, to the bit.
+
+use crate::error::AppError;
+use crate::summary::Collector;
+use spandrel_alert::{Baseline, Watch};
+use spandrel_bus::EstimateBlock;
+use spandrel_identify::{Identification, Input, Output};
+use spandrel_ingest::{Alignment, IngestError, Layout};
+use spandrel_record::RecordError;
+use spandrel_sensor::{Clocks, Cutter, NodePlan, Row, SensorError};
+use spandrel_structure::Structure;
+
+/// Samples per block: long enough that blocks cost nothing, short enough to stay in the cache.
+const BLOCK_SAMPLES: u64 = 256;
+
+/// Identifies rows of a record, and decides on alerts.
+///
+/// `take` gets the estimates in order. Returns what was collected on the way.
+///
+/// # Errors
+/// When the structure cannot be identified, the record cannot be read, or `take` fails.
+pub fn identify(
+    structure: &Structure,
+    rows: impl Iterator<Item = Result<Row, RecordError>>,
+    baseline: Option<&Baseline>,
+    mut take: impl FnMut(&EstimateBlock) -> Result<(), AppError>,
+) -> Result<Collector, AppError> {
+    let layout = Layout::of(structure)
+        .map_err(|source| IngestError::Layout { structure: structure.name().to_owned(), source })?;
+    let nodes = NodePlan::of(structure, Clocks::Right).map_err(SensorError::from)?;
+    let mut chain = Chain {
+        alignment: Alignment::new(layout, "ingest".to_owned(), 1),
+        identification: Identification::new(structure, "identify")?,
+        watch: Watch::new(structure, baseline)?,
+        collector: collector(structure)?,
+        frames: Vec::new(),
+        outputs: Vec::new(),
+        alerts: Vec::new(),
+    };
+    let mut cutter = Cutter::new(nodes, 1, BLOCK_SAMPLES);
+    let mut samples = Vec::new();
+    for row in rows {
+        let row = row?;
+        cutter.push(row.time_ns, &row.values, &mut samples);
+        for (node, block) in samples.drain(..) {
+            chain.handle(node, block, &mut take)?;
+        }
+    }
+    cutter.end(&mut samples);
+    for (node, block) in samples {
+        chain.handle(node, block, &mut take)?;
+    }
+    Ok(chain.collector)
+}
+
+/// Makes an empty collector with the names of a structure.
+///
+/// # Errors
+/// When the structure cannot be identified.
+pub fn collector(structure: &Structure) -> Result<Collector, AppError> {
+    let identification = Identification::new(structure, "identify")?;
+    let parameters = identification.parameter_names().map(ToString::to_string).collect();
+    let noise = identification.noise_names().iter().map(ToString::to_string).collect();
+    Ok(Collector::new(parameters, noise))
+}
+
+struct Chain {
+    alignment: Alignment,
+    identification: Identification,
+    watch: Watch,
+    collector: Collector,
+    frames: Vec<spandrel_bus::FrameBlock>,
+    outputs: Vec<Output>,
+    alerts: Vec<spandrel_alert::Alert>,
+}
+
+impl Chain {
+    fn handle(
+        &mut self,
+        node: usize,
+        block: spandrel_bus::SampleBlock,
+        take: &mut impl FnMut(&EstimateBlock) -> Result<(), AppError>,
+    ) -> Result<(), AppError> {
+        self.alignment.handle(spandrel_ingest::Input::Samples { node, block }, &mut self.frames);
+        for frames in self.frames.drain(..) {
+            self.identification.handle(Input::Frames(frames), &mut self.outputs);
+        }
+        for output in self.outputs.drain(..) {
+            match output {
+                Output::Estimates(estimates) => {
+                    self.watch.handle_block(&estimates, &mut self.alerts)?;
+                    self.collector.take_estimates(&estimates);
+                    take(&estimates)?;
+                }
+                Output::Event(event) => tracing::warn!(what = event.what, why = event.why, "event"),
+                Output::Parameter(_) | Output::Noise(_) => {} // for people who watch a bus
+            }
+        }
+        for alert in self.alerts.drain(..) {
+            self.collector.take_alert(&alert);
+        }
+        Ok(())
+    }
+}

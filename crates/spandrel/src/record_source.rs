@@ -1,0 +1,32 @@
+//! Opens a recording as the structure file says: columns, units, offsets.
+
+use crate::error::AppError;
+use spandrel_record::{ChannelColumn, ColumnMapping, OffsetRemoval, Recording};
+use spandrel_structure::Structure;
+use std::path::Path;
+
+/// Opens `path` for `structure` and checks that it is sampled at the structure's rate.
+///
+/// # Errors
+/// When the file cannot be read, lacks columns or has another rate; it names what it has.
+pub fn open(structure: &Structure, path: &Path) -> Result<Recording, AppError> {
+    let map = structure.record();
+    let columns = structure
+        .channels()
+        .zip(map.columns())
+        .map(|(channel, column)| {
+            // the structure file has already turned its unit into the factor
+            ChannelColumn::new(channel.name())
+                .with_column(column.column())
+                .with_calibration(column.factor(), column.offset())
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let mapping = ColumnMapping::new(columns).with_time_column(map.time_column());
+    let offset = match map.remove_offset_s() {
+        seconds if seconds > 0.0 => OffsetRemoval::MeanOfFirst { seconds },
+        _ => OffsetRemoval::Keep,
+    };
+    let recording = Recording::open(path, &mapping, offset)?;
+    recording.check_sampling_rate(structure.sampling_rate_hz())?;
+    Ok(recording)
+}

@@ -1,0 +1,252 @@
+//! Starts services, keeps them together, and stops them from the source downwards.
+
+use crate::error::AppError;
+use crate::settings::Settings;
+use spandrel_alert::{AlertService, Baseline};
+use spandrel_bus::{Bus, Keys, Name};
+use spandrel_identify::{FilterPool, IdentifyService};
+use spandrel_ingest::{IngestService, IngestSettings, Waiting};
+use spandrel_structure::Structure;
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+use tracing::{info, warn};
+
+/// Time for each stage to work off what waits when it is stopped.
+const STOP_DEADLINE: Duration = Duration::from_secs(10);
+
+/// A structure with its keys.
+#[derive(Debug)]
+pub struct Watched {
+    /// The structure.
+    pub structure: Structure,
+    /// Its key expressions.
+    pub keys: Keys,
+    /// Its sound values, if there is a file of them.
+    pub baseline: Option<Baseline>,
+}
+
+/// Reads the structures that the arguments or else the configuration name.
+///
+/// # Errors
+/// When there is none, one is wrong, or two have one name.
+pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Watched>, AppError> {
+    let paths = if paths.is_empty() { &settings.structures } else { paths };
+    if paths.is_empty() {
+        return Err(AppError::NoStructure);
+    }
+    let mut watched: Vec<Watched> = Vec::new();
+    for (index, path) in paths.iter().enumerate() {
+        let read = watch_structure(settings, path)?;
+        let name = read.structure.name();
+        if let Some(same) = watched.iter().position(|other| other.structure.name() == name) {
+            let (name, first, second) = (name.to_owned(), paths[same].clone(), paths[index].clone());
+            return Err(AppError::SameStructure { name, first, second });
+        }
+        watched.push(read);
+    }
+    Ok(watched)
+}
+
+/// Reads one structure with its keys and sound values.
+///
+/// # Errors
+/// When a file is wrong.
+pub fn watch_structure(settings: &Settings, path: &Path) -> Result<Watched, AppError> {
+    let structure = Structure::read(path)?;
+    let keys = settings.bus.keys(structure.name())?;
+    let baseline = settings.baselines.get(structure.name()).map(|path| Baseline::read(path)).transpose()?;
+    Ok(Watched { structure, keys, baseline })
+}
+
+/// The services of one process, joined to one session.
+#[derive(Debug)]
+pub struct Running {
+    ingest: Stage,
+    identify: Stage,
+    alert: Stage,
+}
+
+/// All instances of one service.
+#[derive(Debug)]
+struct Stage {
+    name: &'static str,
+    tasks: JoinSet<Result<(), AppError>>,
+    stop: watch::Sender<bool>,
+}
+
+impl Stage {
+    fn new(name: &'static str) -> Self {
+        Self { name, tasks: JoinSet::new(), stop: watch::Sender::new(false) }
+    }
+
+    /// A future that ends when the stage is told to stop.
+    fn stopped(&self) -> impl Future<Output = ()> + Send + 'static {
+        let mut stop = self.stop.subscribe();
+        async move {
+            // a sender that is gone stops as well
+            let _ = stop.wait_for(|stop| *stop).await;
+        }
+    }
+
+    /// Waits until an instance ends, which none does before it is told to.
+    async fn ended(&mut self) -> Result<(), AppError> {
+        match self.tasks.join_next().await {
+            None => std::future::pending().await,
+            Some(Ok(result)) => result,
+            Some(Err(source)) => Err(AppError::Panicked { service: self.name, source }),
+        }
+    }
+
+    async fn stop(&mut self) -> Result<(), AppError> {
+        self.stop.send_replace(true);
+        let mut first = Ok(());
+        let all = async {
+            while let Some(ended) = self.tasks.join_next().await {
+                let ended = ended.unwrap_or_else(|source| Err(AppError::Panicked { service: self.name, source }));
+                if first.is_ok() {
+                    first = ended;
+                }
+            }
+        };
+        if tokio::time::timeout(STOP_DEADLINE, all).await.is_err() {
+            warn!(service = self.name, deadline_s = STOP_DEADLINE.as_secs(), "did not finish in time");
+        }
+        first
+    }
+}
+
+impl Running {
+    /// Makes an empty set of services.
+    pub fn new() -> Self {
+        Self { ingest: Stage::new("ingest"), identify: Stage::new("identify"), alert: Stage::new("alert") }
+    }
+
+    /// Starts ingest for each structure.
+    ///
+    /// # Errors
+    /// When one cannot start.
+    pub async fn start_ingest(&mut self, bus: &Bus, watched: &[Watched]) -> Result<(), AppError> {
+        for Watched { structure, keys, .. } in watched {
+            let lateness = Duration::try_from_secs_f64(structure.ingest().lateness_s);
+            let settings = IngestSettings {
+                id: Name::new("ingest")?,
+                epoch: epoch_now(),
+                waiting: lateness.map_or(Waiting::Unlimited, Waiting::Limited),
+            };
+            let service = IngestService::start(structure, bus, keys.clone(), settings).await?;
+            let stop = self.ingest.stopped();
+            self.ingest.tasks.spawn(async move { Ok(service.run(stop).await?) });
+        }
+        Ok(())
+    }
+
+    /// Starts the identification of each structure on one pool of threads.
+    ///
+    /// # Errors
+    /// When one cannot start.
+    pub async fn start_identify(
+        &mut self,
+        bus: &Bus,
+        watched: &[Watched],
+        threads: Option<NonZeroUsize>,
+    ) -> Result<(), AppError> {
+        let threads = threads.or_else(|| std::thread::available_parallelism().ok()).unwrap_or(NonZeroUsize::MIN);
+        let no_thread = |source| AppError::Io { what: "cannot start a thread for the filters".to_owned(), source };
+        let pool = FilterPool::start(threads).map_err(no_thread)?;
+        for Watched { structure, keys, .. } in watched {
+            let id = Name::new("identify")?;
+            let service = IdentifyService::start(structure, bus, keys.clone(), id, pool.clone()).await?;
+            let stop = self.identify.stopped();
+            self.identify.tasks.spawn(async move { Ok(service.run(stop).await?) });
+        }
+        Ok(())
+    }
+
+    /// Starts the alert service of each structure.
+    ///
+    /// # Errors
+    /// When one cannot start.
+    pub async fn start_alert(&mut self, bus: &Bus, watched: &[Watched]) -> Result<(), AppError> {
+        for Watched { structure, keys, baseline } in watched {
+            let id = Name::new("alert")?;
+            let service = AlertService::start(structure, baseline.as_ref(), bus, keys.clone(), id).await?;
+            let stop = self.alert.stopped();
+            self.alert.tasks.spawn(async move { Ok(service.run(stop).await?) });
+        }
+        Ok(())
+    }
+
+    /// Waits until a service ends before its time.
+    ///
+    /// # Errors
+    /// What it failed with.
+    pub async fn failed(&mut self) -> Result<(), AppError> {
+        tokio::select! {
+            ended = self.ingest.ended() => ended,
+            ended = self.identify.ended() => ended,
+            ended = self.alert.ended() => ended,
+        }
+    }
+
+    /// Stops all, the source first, so that what is on its way is still worked off.
+    ///
+    /// # Errors
+    /// The first failure of a service.
+    pub async fn stop(mut self) -> Result<(), AppError> {
+        let ingest = self.ingest.stop().await;
+        let identify = self.identify.stop().await;
+        let alert = self.alert.stop().await;
+        ingest.and(identify).and(alert)
+    }
+}
+
+/// Ends when the process is asked to: Ctrl-C or SIGTERM. A second request ends it at once.
+pub async fn interrupted() {
+    wait_for_signal().await;
+    info!("stopping; a second signal stops at once");
+    tokio::spawn(async {
+        wait_for_signal().await;
+        std::process::exit(130);
+    });
+}
+
+async fn wait_for_signal() {
+    let terminated = async {
+        match tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
+            Ok(mut signal) => {
+                signal.recv().await;
+            }
+            Err(error) => {
+                warn!(%error, "SIGTERM cannot be heard");
+                std::future::pending::<()>().await;
+            }
+        }
+    };
+    tokio::select! {
+        result = tokio::signal::ctrl_c() => if let Err(error) = result {
+            warn!(%error, "Ctrl-C cannot be heard");
+            std::future::pending::<()>().await;
+        },
+        () = terminated => {}
+    }
+}
+
+/// Returns the wall clock in ns: higher at each start of a source.
+pub fn epoch_now() -> u64 {
+    #[expect(clippy::disallowed_methods, reason = "an epoch must be higher at each start")]
+    let now = SystemTime::now();
+    now.duration_since(UNIX_EPOCH).map_or(1, |elapsed| elapsed.as_nanos() as u64)
+}
+
+/// Runs a future on a runtime of its own.
+///
+/// # Errors
+/// When there is no runtime to be had, or what the future fails with.
+pub fn block_on<T>(future: impl Future<Output = Result<T, AppError>>) -> Result<T, AppError> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
+    let runtime = runtime.map_err(|source| AppError::Io { what: "cannot start the runtime".to_owned(), source })?;
+    runtime.block_on(future)
+}

@@ -1,0 +1,137 @@
+//! Layered configuration: defaults, file, variables `SPANDREL_…`, flags.
+
+use crate::cli::BusArguments;
+use crate::error::AppError;
+use config::{Config, Environment, File, FileFormat};
+use serde::Deserialize;
+use spandrel_bus::BusConfig;
+use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+
+/// Beginning of the names of variables.
+const PREFIX: &str = "SPANDREL";
+
+/// The configuration of a process.
+#[derive(Debug, Clone, Default, Deserialize, PartialEq)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// How to join the bus.
+    pub bus: BusConfig,
+    /// Structure files; in a configuration file, relative to it.
+    pub structures: Vec<PathBuf>,
+    /// Baseline file of each structure by its name; in a configuration file, relative to it.
+    pub baselines: BTreeMap<String, PathBuf>,
+    /// Threads of the filters; none: one per processor.
+    pub threads: Option<NonZeroUsize>,
+}
+
+impl Settings {
+    /// Lays the layers over each other.
+    ///
+    /// # Errors
+    /// Names the file or variable and the key.
+    pub fn load(arguments: &BusArguments) -> Result<Self, AppError> {
+        Self::layered(arguments, None)
+    }
+
+    /// `variables` stand for the environment in tests.
+    fn layered(arguments: &BusArguments, variables: Option<config::Map<String, String>>) -> Result<Self, AppError> {
+        let mut builder = Config::builder();
+        if let Some(path) = &arguments.config {
+            if !path.is_file() {
+                return Err(AppError::NoConfiguration { path: path.clone() });
+            }
+            builder = builder.add_source(File::from(path.clone()).format(FileFormat::Toml));
+        }
+        let environment = Environment::with_prefix(PREFIX)
+            .prefix_separator("_")
+            .separator("__")
+            .list_separator(",")
+            .with_list_parse_key("bus.listen")
+            .with_list_parse_key("bus.connect")
+            .with_list_parse_key("structures")
+            .try_parsing(true)
+            .source(variables);
+        let read = builder.add_source(environment).build().and_then(Config::try_deserialize::<Self>);
+        let mut settings = read
+            .map_err(|source| AppError::Configuration { path: arguments.config.clone(), source: Box::new(source) })?;
+        if let Some(folder) = arguments.config.as_deref().and_then(Path::parent) {
+            settings.resolve_paths(folder);
+        }
+        if let Some(root) = &arguments.root {
+            settings.bus.root.clone_from(root);
+        }
+        if !arguments.listen.is_empty() {
+            settings.bus.listen.clone_from(&arguments.listen);
+        }
+        if !arguments.connect.is_empty() {
+            settings.bus.connect.clone_from(&arguments.connect);
+        }
+        if arguments.zenoh_config.is_some() {
+            settings.bus.config_file.clone_from(&arguments.zenoh_config);
+        }
+        Ok(settings)
+    }
+
+    fn resolve_paths(&mut self, folder: &Path) {
+        let paths = self.structures.iter_mut().chain(self.baselines.values_mut()).chain(&mut self.bus.config_file);
+        for path in paths {
+            *path = folder.join(&path);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn load(file: &str, variables: &[(&str, &str)], arguments: &BusArguments) -> Result<Settings, AppError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("spandrel.toml");
+        std::fs::write(&path, file).unwrap();
+        let variables = variables.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
+        let arguments = BusArguments { config: Some(path), ..arguments.clone() };
+        Settings::layered(&arguments, Some(variables))
+    }
+
+    #[test]
+    fn flags_lie_over_variables_over_the_file_over_defaults() {
+        let file =
+            "threads = 3\nstructures = [\"a.toml\"]\n[bus]\nroot = \"from-file\"\nlisten = [\"tcp/127.0.0.1:1\"]\n";
+        let variables = [("SPANDREL_BUS__ROOT", "from-variable"), ("SPANDREL_BUS__LISTEN", "tcp/127.0.0.1:2")];
+        let flags = BusArguments { listen: vec!["tcp/127.0.0.1:3".into()], ..BusArguments::default() };
+        let settings = load(file, &variables, &flags).unwrap();
+        assert_eq!(settings.bus.root, "from-variable");
+        assert_eq!(settings.bus.listen, ["tcp/127.0.0.1:3"]);
+        assert_eq!(settings.threads.map(NonZeroUsize::get), Some(3));
+        assert!(settings.structures[0].is_absolute() && settings.structures[0].ends_with("a.toml"));
+        assert_eq!(settings.bus.connect, Vec::<String>::new());
+    }
+
+    #[test]
+    fn mistakes_name_file_and_key() {
+        for (file, expected) in [
+            ("thread = 3\n", "thread"),
+            ("[bus]\nlisten = 7\n", "bus.listen"),
+            ("threads = 0\n", "threads"),
+            ("structures = \n", "spandrel.toml"),
+        ] {
+            let text = load(file, &[], &BusArguments::default()).unwrap_err().report();
+            assert!(text.contains(expected) && text.contains("spandrel.toml"), "{file:?}: {text}");
+        }
+    }
+
+    #[test]
+    fn wrong_variable_is_named() {
+        let text = load("", &[("SPANDREL_THREADS", "many")], &BusArguments::default()).unwrap_err().report();
+        assert!(text.to_lowercase().contains("threads") && text.contains("many"), "{text}");
+    }
+
+    #[test]
+    fn missing_file_is_named() {
+        let arguments = BusArguments { config: Some("nowhere.toml".into()), ..BusArguments::default() };
+        let text = Settings::layered(&arguments, None).unwrap_err().report();
+        assert!(text.contains("nowhere.toml"), "{text}");
+    }
+}

@@ -1,0 +1,171 @@
+//! What a run ends with: the last estimates, and the alerts on the way.
+
+use serde::Serialize;
+use spandrel_alert::Alert;
+use spandrel_bus::{AlertMessage, AlertState, EstimateBlock};
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+/// The result of a run, as `--json` prints it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// Frames identified.
+    pub frames: u64,
+    /// The last estimate of each parameter, ratio to nominal.
+    pub parameters: BTreeMap<String, Level>,
+    /// Alerts that were raised, acknowledged or cleared, in order.
+    pub alerts: Vec<AlertSummary>,
+    /// The last estimate of each noise level (variance, unit² of its source).
+    pub noise: BTreeMap<String, Level>,
+}
+
+/// Mean and standard deviation.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Level {
+    pub mean: f64,
+    pub std: f64,
+}
+
+/// One change of an alert.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct AlertSummary {
+    /// The parameter.
+    pub parameter: String,
+    /// `raised`, `acknowledged` or `cleared`.
+    pub state: AlertState,
+    /// Measurement time since the first frame (s).
+    pub time_s: f64,
+    /// Loss found, a share of the reference.
+    pub loss: f64,
+    /// Probability that the loss is more than the rule asks about.
+    pub credibility: f64,
+    /// The alert in words.
+    pub why: String,
+}
+
+/// Collects a summary from what the services say.
+#[derive(Debug, Clone)]
+pub struct Collector {
+    parameters: Vec<String>,
+    noise: Vec<String>,
+    t0_ns: Option<i64>,
+    frames: u64,
+    last: Option<spandrel_bus::Estimate>,
+    alerts: Vec<(i64, AlertSummary)>,
+}
+
+impl Collector {
+    /// Starts empty; names in the order of the estimates.
+    pub fn new(parameters: Vec<String>, noise: Vec<String>) -> Self {
+        Self { parameters, noise, t0_ns: None, frames: 0, last: None, alerts: Vec::new() }
+    }
+
+    /// Takes estimates in order.
+    pub fn take_estimates(&mut self, block: &EstimateBlock) {
+        self.t0_ns.get_or_insert(block.t0_ns);
+        self.frames += block.estimates.len() as u64;
+        if let Some(last) = block.estimates.last() {
+            self.last = Some(last.clone());
+        }
+    }
+
+    /// Takes a change of an alert from the bus.
+    pub fn take_message(&mut self, message: &AlertMessage) {
+        self.take(
+            message.parameter.to_string(),
+            message.state,
+            message.time_ns,
+            message.loss,
+            message.credibility,
+            &message.why,
+        );
+    }
+
+    /// Takes a change of an alert from the core.
+    pub fn take_alert(&mut self, alert: &Alert) {
+        let Some(parameter) = self.parameters.get(alert.parameter).cloned() else {
+            return; // the core knows no other parameters
+        };
+        let loss = alert.loss.map(|estimate| estimate.loss);
+        let credibility = alert.probability_of_loss;
+        self.take(parameter, alert.state, alert.estimate.time_ns, loss, credibility, &alert.why);
+    }
+
+    fn take(
+        &mut self,
+        parameter: String,
+        state: AlertState,
+        time_ns: i64,
+        loss: Option<f64>,
+        credibility: f64,
+        why: &str,
+    ) {
+        // what is pending or normal wakes nobody
+        let tells = matches!(state, AlertState::Raised | AlertState::Acknowledged | AlertState::Cleared);
+        let (true, Some(loss)) = (tells, loss) else {
+            return;
+        };
+        let summary = AlertSummary { parameter, state, time_s: 0.0, loss, credibility, why: why.to_owned() };
+        let known = self
+            .alerts
+            .iter()
+            .any(|(at, other)| *at == time_ns && other.parameter == summary.parameter && other.state == summary.state);
+        if !known {
+            self.alerts.push((time_ns, summary));
+        }
+    }
+
+    /// Number of frames taken.
+    pub fn frames(&self) -> u64 {
+        self.frames
+    }
+
+    /// Returns the summary.
+    pub fn finish(self) -> Summary {
+        let t0_ns = self.t0_ns.unwrap_or(0);
+        let level = |mean: f64, variance: f64| Level { mean, std: variance.max(0.0).sqrt() };
+        let (mut parameters, mut noise) = (BTreeMap::new(), BTreeMap::new());
+        if let Some(last) = &self.last {
+            for (index, (name, mean)) in self.parameters.iter().zip(&last.mean).enumerate() {
+                parameters.insert(name.clone(), level(*mean, last.variance(index).unwrap_or(0.0)));
+            }
+            for (name, (mean, variance)) in self.noise.iter().zip(last.noise_mean.iter().zip(&last.noise_covariance)) {
+                noise.insert(name.clone(), level(*mean, *variance));
+            }
+        }
+        let alerts = self
+            .alerts
+            .into_iter()
+            .map(|(time_ns, alert)| AlertSummary { time_s: time_ns.saturating_sub(t0_ns) as f64 * 1e-9, ..alert });
+        Summary { frames: self.frames, parameters, alerts: alerts.collect(), noise }
+    }
+}
+
+impl Summary {
+    /// Writes the summary for people.
+    pub fn text(&self) -> String {
+        let mut text = format!("{} frames identified\n", self.frames);
+        // writing to a String does not fail
+        for (name, level) in &self.parameters {
+            let _ = writeln!(text, "  {name:<24} {:.4} ± {:.4}", level.mean, level.std);
+        }
+        for (name, level) in &self.noise {
+            let _ = writeln!(text, "  noise of {name:<15} {:.4e} ± {:.1e} (variance)", level.mean, level.std);
+        }
+        if self.alerts.is_empty() {
+            text.push_str("no alert\n");
+        }
+        for alert in &self.alerts {
+            let _ = writeln!(text, "{:>9.2} s  {:?}: {}", alert.time_s, alert.state, alert.why);
+        }
+        text
+    }
+}
+
+impl Summary {
+    /// Writes the summary as one line of JSON.
+    pub fn json(&self) -> String {
+        // names and finite numbers only: this cannot fail
+        serde_json::to_string(self).map_or_else(|error| error.to_string(), |line| line + "\n")
+    }
+}

@@ -1,0 +1,222 @@
+//! The whole screen: structures, alerts, events, and the line for keys.
+
+use super::form::{Field, Form};
+use super::heard::StructureHeard;
+use super::lists::{alert_lines, alerts_title, event_lines};
+use super::structure_panel::StructurePanel;
+use super::view::{Mode, View};
+use ratatui::Frame;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::{Modifier, Style};
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Block, Borders, Clear, Padding, Paragraph};
+use spandrel_bus::Name;
+
+/// Smaller windows show that they are too small.
+const SMALLEST: (u16, u16) = (40, 12);
+/// Lines that the lists keep whatever there is to show above them, their titles included.
+const ALERTS_AT_LEAST: u16 = 4;
+const EVENTS_AT_LEAST: u16 = 2;
+/// Lines of a panel beyond its content: its borders.
+const BORDERS: u16 = 2;
+/// A panel with less than this has no row of a parameter.
+const PANEL_AT_LEAST: u16 = 7;
+/// Columns of a panel beyond its content: borders and a space at each side.
+const MARGINS: u16 = 4;
+
+const KEYS: &str = "q quit   Tab structure   ↑↓ alert   a acknowledge   ? help";
+
+const HELP: &str = "\
+Tab, ← →      next or previous structure
+↑ ↓           next or previous alert
+PgUp, PgDn    parameters that there is no room for
+a             acknowledge the chosen alert: name and note
+q, Esc        quit
+
+━━●━━  estimate with its 95 % interval, ratio to nominal
+┊ ╋    below it a loss is worth an alert
+│      what a loss is counted from
+▁▄█    the last minutes on the axis of the bars
+
+learning      the sound value is being learnt
+normal        no loss with the credibility asked for
+pending       a loss, not yet for as long as asked for
+raised        a loss, for as long as asked for
+acknowledged  raised, and someone has seen it
+cleared       was raised, the loss is gone";
+
+/// Draws everything.
+pub fn draw(view: &View, frame: &mut Frame<'_>) {
+    let area = frame.area();
+    if area.width < SMALLEST.0 || area.height < SMALLEST.1 {
+        let (width, height) = SMALLEST;
+        frame.render_widget(Paragraph::new(format!("window too small, needs {width} x {height}")), area);
+        return;
+    }
+    let [main, last] = Layout::vertical([Constraint::Fill(1), Constraint::Length(1)]).areas(area);
+    draw_main(view, frame, main);
+    match view.mode() {
+        Mode::Watching => draw_keys(view, frame, last),
+        Mode::Help => {
+            draw_help(frame, main);
+            frame.render_widget(Line::from("any key goes on, q quits").style(Modifier::DIM), last);
+        }
+        Mode::Acknowledging { structure, parameter, form } => draw_form(frame, last, structure, parameter, form),
+    }
+}
+
+fn draw_main(view: &View, frame: &mut Frame<'_>, area: Rect) {
+    if view.heard.structures().len() == 0 {
+        frame.render_widget(Paragraph::new("nothing heard yet: no service and no sensor of any structure is there"), area);
+        return;
+    }
+    let structures: Vec<(&Name, &StructureHeard)> = view.heard.structures().collect();
+    let selected = view.selected_structure().map(|(name, _)| name);
+    let selected = structures.iter().position(|(name, _)| Some(*name) == selected).unwrap_or(0);
+    let width = usize::from(area.width.saturating_sub(MARGINS));
+    let panels: Vec<StructurePanel> =
+        structures.iter().map(|(name, structure)| StructurePanel::new(&view.heard, name, structure, width)).collect();
+    let wanted: Vec<u16> =
+        panels.iter().map(|panel| u16::try_from(panel.len()).unwrap_or(u16::MAX).saturating_add(BORDERS)).collect();
+    let room = area.height.saturating_sub(ALERTS_AT_LEAST + EVENTS_AT_LEAST);
+    let heights = share_out(room, &wanted, selected);
+    let mut rest = area;
+    for (index, (panel, height)) in panels.into_iter().zip(heights).enumerate() {
+        let [here, below] = Layout::vertical([Constraint::Length(height), Constraint::Fill(1)]).areas(rest);
+        rest = below;
+        let choice = match (structures.len(), index == selected) {
+            (1, _) => Choice::Only,
+            (_, true) => Choice::Chosen,
+            (_, false) => Choice::Other,
+        };
+        draw_panel(frame, here, panel, choice, view.first_parameter());
+    }
+    draw_lists(view, frame, rest);
+}
+
+/// Gives each panel its height: all of it where there is room, otherwise all to the chosen one and a line to the others;
+/// 0 to those that there is no room for.
+fn share_out(room: u16, wanted: &[u16], selected: usize) -> Vec<u16> {
+    let total: u32 = wanted.iter().map(|height| u32::from(*height)).sum();
+    if total <= u32::from(room) {
+        return wanted.to_vec();
+    }
+    let mut heights = vec![0; wanted.len()];
+    let own = wanted.get(selected).copied().unwrap_or(0);
+    let lines_for_others = u16::try_from(wanted.len() - 1).unwrap_or(u16::MAX);
+    let kept = room.saturating_sub(own.min(PANEL_AT_LEAST)).min(lines_for_others);
+    heights[selected] = own.min(room - kept);
+    let mut left = room - heights[selected];
+    // those next to the chosen one first, so that Tab leads to what is seen
+    let mut others: Vec<usize> = (0..wanted.len()).filter(|index| *index != selected).collect();
+    others.sort_by_key(|index| index.abs_diff(selected));
+    for index in others {
+        heights[index] = left.min(1);
+        left -= left.min(1);
+    }
+    heights
+}
+
+/// Whether a panel is the one that the keys are about.
+#[derive(Debug, Clone, Copy)]
+enum Choice {
+    Only,
+    Chosen,
+    Other,
+}
+
+fn draw_panel(frame: &mut Frame<'_>, area: Rect, panel: StructurePanel, choice: Choice, first: usize) {
+    if area.height == 0 {
+        return;
+    }
+    let (mark, first, style) = match choice {
+        Choice::Only => (" ", first, Style::new()),
+        Choice::Chosen => (" ▶ ", first, Style::new()),
+        Choice::Other => ("   ", 0, Style::new().add_modifier(Modifier::DIM)),
+    };
+    let mut title = panel.title.clone();
+    title.spans.insert(0, Span::raw(mark));
+    title.push_span(" ");
+    let mut time = panel.time.clone();
+    time.spans.insert(0, Span::raw(" "));
+    time.push_span(" ");
+    let borders = if area.height > BORDERS { Borders::ALL } else { Borders::TOP };
+    let block = Block::new()
+        .borders(borders)
+        .border_style(style)
+        .padding(Padding::horizontal(1))
+        .title(title)
+        .title(time.right_aligned());
+    let inner = block.inner(area);
+    frame.render_widget(block, area);
+    frame.render_widget(Paragraph::new(panel.into_lines(usize::from(inner.height), first)), inner);
+}
+
+fn draw_lists(view: &View, frame: &mut Frame<'_>, area: Rect) {
+    let width = usize::from(area.width);
+    let events = event_lines(&view.heard, width);
+    let wanted = u16::try_from(events.len() + 1).unwrap_or(u16::MAX);
+    let events_height = wanted.min((area.height * 2 / 5).max(EVENTS_AT_LEAST));
+    let [alerts_area, events_area] =
+        Layout::vertical([Constraint::Fill(1), Constraint::Length(events_height)]).areas(area);
+    let list = |title: Line<'static>| {
+        let mut title = title;
+        title.spans.insert(0, Span::raw(" "));
+        title.push_span(" ");
+        Block::new().borders(Borders::TOP).title(title)
+    };
+    let alerts = alert_lines(view, width, usize::from(alerts_area.height.saturating_sub(1)));
+    frame.render_widget(Paragraph::new(alerts).block(list(alerts_title(&view.heard))), alerts_area);
+    let title = Line::from(Span::styled("events", Modifier::BOLD));
+    frame.render_widget(Paragraph::new(events).block(list(title)), events_area);
+}
+
+fn draw_keys(view: &View, frame: &mut Frame<'_>, area: Rect) {
+    let line = match view.notice() {
+        Some(notice) => Line::from(notice.to_owned()).style(Modifier::REVERSED),
+        None => Line::from(KEYS).style(Modifier::DIM),
+    };
+    frame.render_widget(line, area);
+    let unseen = view.overwritten() + view.heard.left_out();
+    if unseen > 0 {
+        let line = Line::from(format!(" {unseen} messages not shown")).right_aligned();
+        let width = u16::try_from(line.width()).unwrap_or(u16::MAX).min(area.width);
+        let [_, right] = Layout::horizontal([Constraint::Fill(1), Constraint::Length(width)]).areas(area);
+        frame.render_widget(line, right);
+    }
+}
+
+fn draw_form(frame: &mut Frame<'_>, area: Rect, structure: &Name, parameter: &Name, form: &Form) {
+    let mark = |field: Field| if form.field == field { "▏" } else { "" };
+    let style = |field: Field| {
+        if form.field == field { Style::new().add_modifier(Modifier::REVERSED) } else { Style::new() }
+    };
+    let mut line = Line::from_iter([
+        Span::raw(format!("acknowledge {structure}/{parameter}  ")),
+        Span::styled(format!(" who: {}{} ", form.who, mark(Field::Who)), style(Field::Who)),
+        Span::raw(" "),
+        Span::styled(format!(" note: {}{} ", form.note, mark(Field::Note)), style(Field::Note)),
+    ]);
+    let hint = "  Tab field, Enter send, Esc back";
+    if line.width() + hint.len() <= usize::from(area.width) {
+        line.push_span(Span::styled(hint, Modifier::DIM));
+    }
+    // a long note is seen where it is being typed: at its end
+    let line = if line.width() > usize::from(area.width) { line.right_aligned() } else { line };
+    frame.render_widget(line, area);
+}
+
+fn draw_help(frame: &mut Frame<'_>, area: Rect) {
+    let width = HELP.lines().map(|line| Line::from(line).width()).max().unwrap_or(0) + usize::from(MARGINS);
+    let height = HELP.lines().count() + usize::from(BORDERS);
+    let fit = |wanted: usize, most: u16| u16::try_from(wanted).unwrap_or(most).min(most);
+    let (width, height) = (fit(width, area.width), fit(height, area.height));
+    let [column] = Layout::horizontal([Constraint::Length(width)]).flex(ratatui::layout::Flex::Center).areas(area);
+    let [help] = Layout::vertical([Constraint::Length(height)]).flex(ratatui::layout::Flex::Center).areas(column);
+    frame.render_widget(Clear, help);
+    let block = Block::bordered().padding(Padding::horizontal(1)).title(" spandrel watch ");
+    frame.render_widget(Paragraph::new(HELP).block(block), help);
+}
+
+#[cfg(test)]
+mod tests;

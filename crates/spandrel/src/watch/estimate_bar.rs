@@ -1,0 +1,164 @@
+//! An estimate with its interval as a bar, and its last minutes as a row of blocks, both on one axis.
+
+use spandrel_bus::{AlertMessage, ParameterDisplay};
+
+/// The axis goes no further (ratios to nominal): beyond that only the number counts.
+const FURTHEST: (f64, f64) = (0.0, 2.0);
+/// The axis starts and ends on multiples of this, so that it does not move with each value.
+const GRID: f64 = 0.05;
+
+const MEAN: char = '●';
+const INTERVAL: char = '━';
+const LIMIT: char = '┊';
+const LIMIT_IN_INTERVAL: char = '╋';
+const REFERENCE: char = '│';
+const LEVELS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+
+/// The range of ratios that bars and trends of one structure share.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Axis {
+    low: f64,
+    high: f64,
+}
+
+/// Where the parts of a bar stand (ratios to nominal).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Marks {
+    mean: f64,
+    interval: (f64, f64),
+    /// Below it a loss is worth an alert.
+    limit: f64,
+    reference: f64,
+}
+
+impl Marks {
+    /// Takes limit and reference from the alert where it knows them: it may have learnt its reference.
+    pub fn new(display: &ParameterDisplay, alert: Option<&AlertMessage>) -> Self {
+        let learnt = alert.and_then(|alert| Some((alert.reference?, alert.rule_loss)));
+        let (reference, loss) = learnt.unwrap_or((display.reference, display.loss));
+        Self {
+            mean: display.mean,
+            interval: (display.interval.low, display.interval.high),
+            limit: (1.0 - loss) * reference,
+            reference,
+        }
+    }
+
+    /// The values that an axis must hold.
+    pub fn extent(&self) -> [f64; 4] {
+        [self.interval.0, self.interval.1, self.limit, self.reference]
+    }
+}
+
+impl Axis {
+    /// The axis that holds `values`, ends on the grid, and is never empty.
+    pub fn around(values: impl Iterator<Item = f64>) -> Self {
+        let (least, most) = FURTHEST;
+        let within = |value: f64| value.clamp(least, most);
+        let (low, high) =
+            values.fold((1.0_f64, 1.0_f64), |(low, high), value| (low.min(within(value)), high.max(within(value))));
+        Self { low: ((low / GRID).floor() - 1.0) * GRID, high: ((high / GRID).ceil() + 1.0) * GRID }
+    }
+
+    /// The ends as text.
+    pub fn labels(self) -> (String, String) {
+        (format!("{:.2}", self.low), format!("{:.2}", self.high))
+    }
+
+    /// Where a value stands, 0 to 1.
+    fn fraction(self, value: f64) -> f64 {
+        ((value - self.low) / (self.high - self.low)).clamp(0.0, 1.0)
+    }
+
+    /// Which of `width` cells a value is in.
+    fn cell(self, value: f64, width: usize) -> usize {
+        ((self.fraction(value) * width as f64) as usize).min(width.saturating_sub(1))
+    }
+
+    /// Draws an estimate into `width` characters.
+    pub fn bar(self, width: usize, marks: &Marks) -> String {
+        if width == 0 {
+            return String::new();
+        }
+        let mut cells = vec![' '; width];
+        let limit = self.cell(marks.limit, width);
+        cells[self.cell(marks.reference, width)] = REFERENCE;
+        cells[limit] = LIMIT;
+        let (low, high) = (self.cell(marks.interval.0, width), self.cell(marks.interval.1, width));
+        for (at, cell) in cells.iter_mut().enumerate().take(high + 1).skip(low) {
+            *cell = if at == limit { LIMIT_IN_INTERVAL } else { INTERVAL };
+        }
+        cells[self.cell(marks.mean, width)] = MEAN;
+        cells.into_iter().collect()
+    }
+
+    /// Draws values, newest at the right, into `width` characters.
+    pub fn trend(self, width: usize, values: impl Iterator<Item = Option<f64>>) -> String {
+        let block = |value: f64| LEVELS[((self.fraction(value) * LEVELS.len() as f64) as usize).min(LEVELS.len() - 1)];
+        let blocks: String = values.map(|value| value.map_or(' ', block)).collect();
+        format!("{blocks:>width$}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{alert, parameter};
+    use super::*;
+    use spandrel_bus::AlertState;
+
+    fn marks(mean: f64, half_width: f64) -> Marks {
+        Marks { mean, interval: (mean - half_width, mean + half_width), limit: 0.95, reference: 1.0 }
+    }
+
+    const AXIS: Axis = Axis { low: 0.8, high: 1.2 };
+
+    #[test]
+    fn bar_shows_mean_interval_limit_and_reference_in_their_places() {
+        // 40 cells of 0.01: the mean 0.905 stands in cell 10, the interval in cells 7 to 13
+        let expected = format!("{}━━━●━━━ ┊    │{}", " ".repeat(7), " ".repeat(19));
+        assert_eq!(AXIS.bar(40, &marks(0.905, 0.03)), expected);
+    }
+
+    #[test]
+    fn an_interval_over_the_limit_shows_both() {
+        let bar = AXIS.bar(40, &marks(0.975, 0.04));
+        assert!(bar.contains("━╋━━●━━━"), "{bar}");
+    }
+
+    #[test]
+    fn an_interval_narrower_than_a_cell_is_its_mean() {
+        assert_eq!(AXIS.bar(4, &marks(1.05, 0.001)), " ┊● ");
+    }
+
+    #[test]
+    fn axis_holds_all_values_on_its_grid_and_stays_in_bounds() {
+        assert_eq!(Axis::around([0.86, 1.03].into_iter()).labels(), ("0.80".to_owned(), "1.10".to_owned()));
+        assert_eq!(Axis::around(std::iter::empty()).labels(), ("0.95".to_owned(), "1.05".to_owned()));
+        assert_eq!(Axis::around([-1e300, 1e300].into_iter()).labels(), ("-0.05".to_owned(), "2.05".to_owned()));
+    }
+
+    #[test]
+    fn no_width_and_absurd_values_are_drawn_somewhere() {
+        for width in [0, 1, 2, 7] {
+            for mean in [-1e300, 0.0, 1e300] {
+                assert_eq!(AXIS.bar(width, &marks(mean, 1e300)).chars().count(), width);
+            }
+        }
+    }
+
+    #[test]
+    fn trend_falls_with_the_values_and_shows_gaps() {
+        let values = [Some(1.19), Some(1.0), None, Some(0.81)];
+        assert_eq!(AXIS.trend(6, values.into_iter()), "  █▅ ▁");
+    }
+
+    #[test]
+    fn a_learnt_reference_moves_the_limit() {
+        let display = parameter("storey-1", 0, 1.0, 0.01);
+        let mut learnt = alert("storey-1", 0, AlertState::Normal);
+        learnt.reference = Some(0.9);
+        learnt.rule_loss = 0.1;
+        assert_eq!(Marks::new(&display, None).limit, 0.95);
+        assert!((Marks::new(&display, Some(&learnt)).limit - 0.81).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,113 @@
+//! The line in which a person acknowledges an alert: who, and a note.
+
+use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+
+/// Longest name or note, in characters.
+const LONGEST: usize = 200;
+
+/// The two fields and where the cursor is.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Form {
+    pub who: String,
+    pub note: String,
+    pub field: Field,
+}
+
+/// A field of the form.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Field {
+    #[default]
+    Who,
+    Note,
+}
+
+/// What a key did to the form.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Typed {
+    /// It goes on.
+    On,
+    /// Sent; `who` is not empty.
+    Done,
+    /// Given up.
+    Cancelled,
+}
+
+impl Form {
+    /// Starts with a name, and then with the note.
+    pub fn new(who: String) -> Self {
+        let field = if who.is_empty() { Field::Who } else { Field::Note };
+        Self { who, note: String::new(), field }
+    }
+
+    /// Takes a key.
+    pub fn key(&mut self, key: KeyEvent) -> Typed {
+        let is_control = key.modifiers.contains(KeyModifiers::CONTROL);
+        let text = match self.field {
+            Field::Who => &mut self.who,
+            Field::Note => &mut self.note,
+        };
+        match key.code {
+            KeyCode::Esc => return Typed::Cancelled,
+            KeyCode::Enter if self.who.trim().is_empty() => self.field = Field::Who,
+            KeyCode::Enter => return Typed::Done,
+            KeyCode::Tab | KeyCode::BackTab | KeyCode::Up | KeyCode::Down => {
+                self.field = match self.field {
+                    Field::Who => Field::Note,
+                    Field::Note => Field::Who,
+                };
+            }
+            KeyCode::Backspace => drop(text.pop()),
+            KeyCode::Char('u') if is_control => text.clear(),
+            KeyCode::Char(letter) if !is_control && !letter.is_control() && text.chars().count() < LONGEST => {
+                text.push(letter);
+            }
+            _ => {}
+        }
+        Typed::On
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn typed(form: &mut Form, keys: &[KeyCode]) -> Typed {
+        keys.iter().map(|code| form.key(KeyEvent::from(*code))).last().unwrap_or(Typed::On)
+    }
+
+    fn letters(text: &str) -> Vec<KeyCode> {
+        text.chars().map(KeyCode::Char).collect()
+    }
+
+    #[test]
+    fn name_and_note_are_typed_one_after_the_other() {
+        let mut form = Form::new(String::new());
+        typed(&mut form, &letters("anna"));
+        typed(&mut form, &[KeyCode::Tab]);
+        typed(&mut form, &letters("seen on sitee"));
+        assert_eq!(typed(&mut form, &[KeyCode::Backspace, KeyCode::Enter]), Typed::Done);
+        assert_eq!((form.who.as_str(), form.note.as_str()), ("anna", "seen on site"));
+    }
+
+    #[test]
+    fn nobody_cannot_acknowledge() {
+        let mut form = Form::new(String::new());
+        assert_eq!(typed(&mut form, &[KeyCode::Char(' '), KeyCode::Tab, KeyCode::Enter]), Typed::On);
+        assert_eq!(form.field, Field::Who);
+    }
+
+    #[test]
+    fn a_known_name_leads_to_the_note() {
+        assert_eq!(Form::new("anna".to_owned()).field, Field::Note);
+    }
+
+    #[test]
+    fn fields_are_bounded_and_free_of_control_characters() {
+        let mut form = Form::default();
+        typed(&mut form, &letters(&"a".repeat(LONGEST + 1)));
+        assert_eq!(form.who.len(), LONGEST);
+        form.key(KeyEvent::new(KeyCode::Char('u'), KeyModifiers::CONTROL));
+        typed(&mut form, &[KeyCode::Char('\u{1b}')]);
+        assert_eq!(form.who, "");
+    }
+}

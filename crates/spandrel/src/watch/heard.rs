@@ -1,0 +1,276 @@
+//! What has been heard on the bus, as far as people look at it: messages in, a picture of the system out.
+
+use super::natural_name::NaturalName;
+use super::trail::Trail;
+use spandrel_bus::{
+    AlertMessage, AlertState, Event, MAX_CHANNELS, Name, NoiseDisplay, ParameterDisplay, Service, Status,
+};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
+
+/// Most structures shown; what others say is counted and left out.
+const MOST_STRUCTURES: usize = 256;
+/// Most instances of services and sensor nodes of one structure.
+const MOST_INSTANCES: usize = MAX_CHANNELS;
+/// Events kept, of all structures together; the oldest make room.
+const EVENTS_KEPT: usize = 100;
+/// After this silence data are stale: display topics come at 10 Hz, statuses at 1 Hz.
+const STALE_AFTER: Duration = Duration::from_secs(3);
+
+/// What the picture reacts to.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Input {
+    /// The time since some fixed moment: what follows is heard then.
+    Now(Duration),
+    Parameter(ParameterDisplay),
+    Noise(NoiseDisplay),
+    /// The alert of a parameter has changed.
+    Alert(AlertMessage),
+    /// An alert as it stood when somebody was asked for it.
+    StandingAlert(AlertMessage),
+    Event(Event),
+    Status(Status),
+    /// Everybody who is there now.
+    Present(BTreeSet<Instance>),
+    /// A message whose key says something else than its content.
+    Misplaced,
+}
+
+/// One instance of a service, or one sensor node, of a structure.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Instance {
+    pub structure: Name,
+    pub service: Service,
+    pub id: Name,
+}
+
+/// Everything heard so far.
+#[derive(Debug, Clone, Default)]
+pub struct Heard {
+    now: Duration,
+    structures: BTreeMap<NaturalName, StructureHeard>,
+    /// Newest first.
+    events: VecDeque<Event>,
+    left_out: u64,
+}
+
+/// What has been heard of one structure.
+#[derive(Debug, Clone, Default)]
+pub struct StructureHeard {
+    pub parameters: BTreeMap<NaturalName, ParameterHeard>,
+    pub noise: BTreeMap<NaturalName, NoiseDisplay>,
+    pub alerts: BTreeMap<NaturalName, AlertMessage>,
+    pub instances: BTreeMap<(Service, Name), InstanceHeard>,
+    /// Measurement time (ns) of the newest value.
+    pub time_ns: Option<i64>,
+    data_heard: Option<Duration>,
+}
+
+/// The last value of a parameter, and how it got there.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParameterHeard {
+    pub display: ParameterDisplay,
+    pub trail: Trail,
+}
+
+/// What an instance says of itself, and whether it is there.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct InstanceHeard {
+    pub is_present: bool,
+    pub status: Option<Status>,
+    status_heard: Duration,
+}
+
+impl Heard {
+    /// Takes one input; what it changes in alerts is added to `changes`.
+    pub fn handle(&mut self, input: Input, changes: &mut Vec<AlertMessage>) {
+        match input {
+            Input::Now(now) => self.now = now,
+            Input::Parameter(display) => self.take_parameter(display),
+            Input::Noise(display) => self.take_noise(display),
+            Input::Alert(alert) => self.take_alert(alert, changes),
+            Input::StandingAlert(alert) => {
+                // what came by itself meanwhile is at least as new
+                let known = self.structure(&alert.structure).and_then(|structure| structure.alert(&alert.parameter));
+                if known.is_none_or(|known| known.time_ns < alert.time_ns) {
+                    self.take_alert(alert, changes);
+                }
+            }
+            Input::Event(event) => {
+                self.events.push_front(event);
+                self.events.truncate(EVENTS_KEPT);
+            }
+            Input::Status(status) => self.take_status(status),
+            Input::Present(instances) => self.take_present(&instances),
+            Input::Misplaced => self.left_out += 1,
+        }
+    }
+
+    fn take_parameter(&mut self, display: ParameterDisplay) {
+        let (now, time_ns) = (self.now, display.time_ns);
+        let Some(structure) = self.structure_mut(&display.structure) else { return };
+        let name = NaturalName(display.parameter.clone());
+        if !has_room(&structure.parameters, &name, MAX_CHANNELS) {
+            self.left_out += 1;
+            return;
+        }
+        structure.data_heard = Some(now);
+        structure.time_ns = Some(time_ns);
+        let mean = display.mean;
+        let heard = match structure.parameters.entry(name) {
+            std::collections::btree_map::Entry::Vacant(entry) => {
+                entry.insert(ParameterHeard { display, trail: Trail::default() })
+            }
+            std::collections::btree_map::Entry::Occupied(entry) => {
+                let heard = entry.into_mut();
+                heard.display = display;
+                heard
+            }
+        };
+        heard.trail.push(time_ns, mean);
+    }
+
+    fn take_noise(&mut self, display: NoiseDisplay) {
+        let now = self.now;
+        let Some(structure) = self.structure_mut(&display.structure) else { return };
+        let name = NaturalName(display.name.clone());
+        if !has_room(&structure.noise, &name, MAX_CHANNELS) {
+            self.left_out += 1;
+            return;
+        }
+        structure.data_heard = Some(now);
+        structure.noise.insert(name, display);
+    }
+
+    fn take_alert(&mut self, alert: AlertMessage, changes: &mut Vec<AlertMessage>) {
+        let Some(structure) = self.structure_mut(&alert.structure) else { return };
+        let name = NaturalName(alert.parameter.clone());
+        if !has_room(&structure.alerts, &name, MAX_CHANNELS) {
+            self.left_out += 1;
+            return;
+        }
+        if structure.alerts.get(&name) != Some(&alert) {
+            changes.push(alert.clone());
+            structure.alerts.insert(name, alert);
+        }
+    }
+
+    fn take_status(&mut self, status: Status) {
+        let now = self.now;
+        let service = Service::ALL.into_iter().find(|service| service.as_str() == status.service.as_str());
+        let Some(service) = service else {
+            self.left_out += 1;
+            return;
+        };
+        let Some(structure) = self.structure_mut(&status.structure) else { return };
+        let key = (service, status.id.clone());
+        if !has_room(&structure.instances, &key, MOST_INSTANCES) {
+            self.left_out += 1;
+            return;
+        }
+        let heard = structure.instances.entry(key).or_default();
+        heard.status = Some(status);
+        heard.status_heard = now;
+    }
+
+    fn take_present(&mut self, present: &BTreeSet<Instance>) {
+        for structure in self.structures.values_mut() {
+            structure.instances.values_mut().for_each(|instance| instance.is_present = false);
+        }
+        for instance in present {
+            let key = (instance.service, instance.id.clone());
+            match self.structure_mut(&instance.structure) {
+                Some(structure) if has_room(&structure.instances, &key, MOST_INSTANCES) => {
+                    structure.instances.entry(key).or_default().is_present = true;
+                }
+                Some(_) => self.left_out += 1,
+                None => {}
+            }
+        }
+        for structure in self.structures.values_mut() {
+            // a node or service that went and never said how it does leaves no trace
+            structure.instances.retain(|_, instance| instance.is_present || instance.status.is_some());
+        }
+    }
+
+    /// Returns the structure, made known if there is room; counts what is left out.
+    fn structure_mut(&mut self, name: &Name) -> Option<&mut StructureHeard> {
+        let key = NaturalName(name.clone());
+        if !has_room(&self.structures, &key, MOST_STRUCTURES) {
+            self.left_out += 1;
+            return None;
+        }
+        Some(self.structures.entry(key).or_default())
+    }
+
+    /// The structures heard of, in the order of their names.
+    pub fn structures(&self) -> impl ExactSizeIterator<Item = (&Name, &StructureHeard)> {
+        self.structures.iter().map(|(name, structure)| (&name.0, structure))
+    }
+
+    /// One structure.
+    pub fn structure(&self, name: &Name) -> Option<&StructureHeard> {
+        self.structures.get(&NaturalName(name.clone()))
+    }
+
+    /// The last events, newest first.
+    pub fn events(&self) -> impl ExactSizeIterator<Item = &Event> {
+        self.events.iter()
+    }
+
+    /// The alerts that people should know of, newest first: all but the normal ones and those being learnt.
+    pub fn open_alerts(&self) -> Vec<&AlertMessage> {
+        let all = self.structures.values().flat_map(|structure| structure.alerts.values());
+        let mut open: Vec<&AlertMessage> = all.filter(|alert| is_open(alert.state)).collect();
+        open.sort_by_key(|alert| std::cmp::Reverse(alert.time_ns));
+        open
+    }
+
+    /// How long nothing was measured, once that is too long; `None` also before the first value.
+    pub fn silence_of_data(&self, structure: &StructureHeard) -> Option<Duration> {
+        self.silence_since(structure.data_heard?)
+    }
+
+    /// How long a service has not said how it does, once that is too long; `None` also if it never did.
+    pub fn silence_of_status(&self, instance: &InstanceHeard) -> Option<Duration> {
+        instance.status.as_ref()?;
+        self.silence_since(instance.status_heard)
+    }
+
+    fn silence_since(&self, heard: Duration) -> Option<Duration> {
+        let silence = self.now.saturating_sub(heard);
+        (silence > STALE_AFTER).then_some(silence)
+    }
+
+    /// The time last told.
+    pub fn now(&self) -> Duration {
+        self.now
+    }
+
+    /// Messages that could not be shown: on a wrong key, or more than there is room for.
+    pub fn left_out(&self) -> u64 {
+        self.left_out
+    }
+}
+
+impl StructureHeard {
+    /// The alert of a parameter.
+    pub fn alert(&self, parameter: &Name) -> Option<&AlertMessage> {
+        self.alerts.get(&NaturalName(parameter.clone()))
+    }
+}
+
+fn has_room<K: Ord, V>(map: &BTreeMap<K, V>, key: &K, most: usize) -> bool {
+    map.len() < most || map.contains_key(key)
+}
+
+/// Whether people should know of an alert in this state.
+fn is_open(state: AlertState) -> bool {
+    match state {
+        AlertState::Pending | AlertState::Raised | AlertState::Acknowledged | AlertState::Cleared => true,
+        AlertState::Learning | AlertState::Normal => false,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,118 @@
+use super::super::testing::{alert, at, event, heard, name, parameter, present, status};
+use super::*;
+
+fn tower(heard: &Heard) -> &StructureHeard {
+    heard.structure(&name("tower")).unwrap()
+}
+
+fn changes(heard: &mut Heard, input: Input) -> Vec<AlertState> {
+    let mut changes = Vec::new();
+    heard.handle(input, &mut changes);
+    changes.iter().map(|alert| alert.state).collect()
+}
+
+#[test]
+fn last_value_of_each_parameter_is_kept_in_natural_order() {
+    let heard = heard([
+        Input::Parameter(parameter("storey-10", 0, 1.0, 0.1)),
+        Input::Parameter(parameter("storey-2", 0, 1.0, 0.1)),
+        Input::Parameter(parameter("storey-2", 1, 0.9, 0.1)),
+    ]);
+    let means: Vec<(&str, f64)> =
+        tower(&heard).parameters.iter().map(|(name, heard)| (name.0.as_str(), heard.display.mean)).collect();
+    assert_eq!(means, [("storey-2", 0.9), ("storey-10", 1.0)]);
+}
+
+#[test]
+fn data_are_stale_after_three_seconds_without_a_value() {
+    let mut heard = heard([at(10), Input::Parameter(parameter("storey-1", 0, 1.0, 0.1))]);
+    heard.handle(at(13), &mut Vec::new());
+    assert_eq!(heard.silence_of_data(tower(&heard)), None);
+    heard.handle(at(22), &mut Vec::new());
+    assert_eq!(heard.silence_of_data(tower(&heard)), Some(Duration::from_secs(12)));
+}
+
+#[test]
+fn a_status_does_not_hide_that_data_are_stale() {
+    let mut heard = heard([at(0), Input::Parameter(parameter("storey-1", 0, 1.0, 0.1))]);
+    heard.handle(at(9), &mut Vec::new());
+    heard.handle(Input::Status(status(Service::Ingest, 0.1, &[])), &mut Vec::new());
+    assert_eq!(heard.silence_of_data(tower(&heard)), Some(Duration::from_secs(9)));
+}
+
+#[test]
+fn what_was_never_heard_is_not_stale() {
+    let heard = heard([present(&[(Service::Ingest, "a")]), at(100)]);
+    assert_eq!(heard.silence_of_data(tower(&heard)), None);
+    let instance = &tower(&heard).instances[&(Service::Ingest, name("a"))];
+    assert_eq!(heard.silence_of_status(instance), None);
+}
+
+#[test]
+fn each_change_of_an_alert_is_told_once() {
+    let mut heard = Heard::default();
+    let raised = alert("storey-2", 45, AlertState::Raised);
+    assert_eq!(changes(&mut heard, Input::Alert(alert("storey-2", 40, AlertState::Pending))), [AlertState::Pending]);
+    assert_eq!(changes(&mut heard, Input::Alert(raised.clone())), [AlertState::Raised]);
+    assert_eq!(changes(&mut heard, Input::Alert(raised.clone())), []);
+    assert_eq!(changes(&mut heard, Input::StandingAlert(raised)), []);
+}
+
+#[test]
+fn an_answer_does_not_undo_what_came_by_itself() {
+    let mut heard = heard([Input::Alert(alert("storey-2", 45, AlertState::Acknowledged))]);
+    // both decided by the same frame: an acknowledgement brings no new estimate
+    assert_eq!(changes(&mut heard, Input::StandingAlert(alert("storey-2", 45, AlertState::Raised))), []);
+    assert_eq!(changes(&mut heard, Input::StandingAlert(alert("storey-2", 50, AlertState::Cleared))), [AlertState::Cleared]);
+}
+
+#[test]
+fn open_alerts_are_those_that_people_should_know_of_newest_first() {
+    let heard = heard([
+        Input::Alert(alert("storey-1", 50, AlertState::Normal)),
+        Input::Alert(alert("storey-2", 10, AlertState::Acknowledged)),
+        Input::Alert(alert("storey-3", 30, AlertState::Raised)),
+        Input::Alert(alert("storey-4", 20, AlertState::Learning)),
+        Input::Alert(alert("storey-5", 20, AlertState::Pending)),
+    ]);
+    let open: Vec<&str> = heard.open_alerts().iter().map(|alert| alert.parameter.as_str()).collect();
+    assert_eq!(open, ["storey-3", "storey-5", "storey-2"]);
+}
+
+#[test]
+fn a_service_that_goes_stays_on_record_and_a_node_does_not() {
+    let mut heard = heard([
+        present(&[(Service::Ingest, "a"), (Service::Sensor, "floor-1")]),
+        Input::Status(status(Service::Ingest, 0.1, &[])),
+    ]);
+    heard.handle(present(&[]), &mut Vec::new());
+    let instances: Vec<(Service, bool)> =
+        tower(&heard).instances.iter().map(|((service, _), instance)| (*service, instance.is_present)).collect();
+    assert_eq!(instances, [(Service::Ingest, false)]);
+}
+
+#[test]
+fn events_are_newest_first_and_bounded() {
+    let heard = heard((0..300).map(|number| Input::Event(event(&number.to_string(), ""))));
+    assert_eq!(heard.events().len(), EVENTS_KEPT);
+    assert_eq!(heard.events().next().map(|event| event.what.as_str()), Some("299"));
+}
+
+#[test]
+fn more_structures_than_there_is_room_for_are_counted() {
+    let of = |number: usize| {
+        let mut display = parameter("storey-1", 0, 1.0, 0.1);
+        display.structure = name(&format!("s-{number}"));
+        Input::Parameter(display)
+    };
+    let heard = heard((0..MOST_STRUCTURES + 7).map(of));
+    assert_eq!((heard.structures().len(), heard.left_out()), (MOST_STRUCTURES, 7));
+}
+
+#[test]
+fn misplaced_messages_and_unknown_services_are_counted() {
+    let mut unknown = status(Service::Ingest, 0.1, &[]);
+    unknown.service = name("nobody");
+    let heard = heard([Input::Misplaced, Input::Status(unknown)]);
+    assert_eq!(heard.left_out(), 2);
+}

@@ -1,0 +1,105 @@
+//! The lists below the structures: open alerts with their sentences, and the last events.
+
+use super::heard::Heard;
+use super::view::View;
+use super::wording::{printable, state_style, state_word, time};
+use super::wrap::wrap;
+use ratatui::style::Modifier;
+use ratatui::text::{Line, Span};
+use spandrel_bus::{AlertMessage, AlertState, Event, Name};
+
+/// Width of the mark and of `acknowledged`, the longest state.
+const BEFORE_SENTENCE: usize = 2 + 12 + 2;
+/// Indent of what continues an event.
+const EVENT_INDENT: usize = 2;
+
+/// Whether it has to be said which structure something is about.
+#[derive(Debug, Clone, Copy)]
+enum Structures {
+    One,
+    Several,
+}
+
+impl Structures {
+    fn of(heard: &Heard) -> Self {
+        if heard.structures().len() > 1 { Self::Several } else { Self::One }
+    }
+
+    fn prefix(self, structure: &Name) -> String {
+        match self {
+            Self::One => String::new(),
+            Self::Several => format!("{structure}: "),
+        }
+    }
+}
+
+/// How many alerts are in which state.
+pub fn alerts_title(heard: &Heard) -> Line<'static> {
+    let alerts = heard.open_alerts();
+    let mut line = Line::from(Span::styled("alerts", Modifier::BOLD));
+    for state in [AlertState::Raised, AlertState::Pending, AlertState::Acknowledged, AlertState::Cleared] {
+        let count = alerts.iter().filter(|alert| alert.state == state).count();
+        if count > 0 {
+            line.push_span(format!(" · {count} "));
+            line.push_span(Span::styled(state_word(state), state_style(state)));
+        }
+    }
+    line
+}
+
+/// The open alerts, newest first, so that the chosen one is seen.
+pub fn alert_lines(view: &View, width: usize, height: usize) -> Vec<Line<'static>> {
+    let alerts = view.heard.open_alerts();
+    let Some(selected) = view.selected_alert_index(&alerts) else {
+        return vec![Line::from("  none").style(Modifier::DIM)];
+    };
+    let structures = Structures::of(&view.heard);
+    let mut entries: Vec<Vec<Line<'static>>> = alerts.iter().map(|alert| alert_entry(alert, structures, width)).collect();
+    mark(&mut entries[selected]);
+    let mut first = 0;
+    while first < selected && entries[first..=selected].iter().map(Vec::len).sum::<usize>() > height {
+        first += 1;
+    }
+    entries.into_iter().skip(first).flatten().collect()
+}
+
+fn alert_entry(alert: &AlertMessage, structures: Structures, width: usize) -> Vec<Line<'static>> {
+    let sentence = printable(&format!("{}{}", structures.prefix(&alert.structure), alert.why));
+    let state = Span::styled(format!("{:<14}", state_word(alert.state)), state_style(alert.state));
+    let lines = wrap(&sentence, width.saturating_sub(BEFORE_SENTENCE));
+    let with_head = lines.into_iter().enumerate().map(|(index, text)| match index {
+        0 => Line::from_iter([Span::raw("  "), state.clone(), Span::raw(text)]),
+        _ => Line::from(format!("{}{text}", " ".repeat(BEFORE_SENTENCE))),
+    });
+    with_head.collect()
+}
+
+/// Shows that an entry is the chosen one.
+fn mark(entry: &mut [Line<'static>]) {
+    if let Some(margin) = entry.first_mut().and_then(|line| line.spans.first_mut()) {
+        *margin = Span::raw("▶ ");
+    }
+    for line in entry {
+        line.style = line.style.add_modifier(Modifier::BOLD);
+    }
+}
+
+/// The last events, newest first.
+pub fn event_lines(heard: &Heard, width: usize) -> Vec<Line<'static>> {
+    let structures = Structures::of(heard);
+    let lines: Vec<Line<'static>> = heard.events().flat_map(|event| event_entry(event, structures, width)).collect();
+    if lines.is_empty() {
+        return vec![Line::from("  none").style(Modifier::DIM)];
+    }
+    lines
+}
+
+fn event_entry(event: &Event, structures: Structures, width: usize) -> Vec<Line<'static>> {
+    let Event { structure, time_ns, subject, what, why, .. } = event;
+    let whose = structures.prefix(structure);
+    let subject = if what.contains(subject.as_str()) { String::new() } else { format!("{subject}: ") };
+    let why = if why.is_empty() { String::new() } else { format!(" ({why})") };
+    let text = printable(&format!("{}  {whose}{subject}{what}{why}", time(*time_ns)));
+    let lines = wrap(&text, width.saturating_sub(EVENT_INDENT));
+    lines.into_iter().map(|text| Line::from(format!("{}{text}", " ".repeat(EVENT_INDENT)))).collect()
+}

@@ -1,0 +1,106 @@
+//! The view as plain lines, for pipes, scripts and logs: one line per change of an alert, one a second per structure.
+
+use super::heard::{Heard, StructureHeard};
+use super::wording::{duration, estimate, lag, printable, state_word, time};
+use spandrel_bus::{AlertMessage, Name, Service};
+use std::fmt::Write as _;
+
+/// One change of an alert: `TIME alert STRUCTURE/PARAMETER STATE: SENTENCE`.
+pub fn alert_line(alert: &AlertMessage) -> String {
+    let AlertMessage { structure, parameter, time_ns, state, why, .. } = alert;
+    format!("{} alert {structure}/{parameter} {}: {}", time(*time_ns), state_word(*state), printable(why))
+}
+
+/// How one structure is: `TIME STRUCTURE PARAMETER MEAN ± STD STATE, …; SERVICE lag LAG, …`.
+pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) -> String {
+    let Some(time_ns) = structure.time_ns else {
+        return format!("{name} no data yet{}", services(heard, structure));
+    };
+    let parameters = structure.parameters.iter().map(|(parameter, value)| {
+        let display = &value.display;
+        let state = structure.alerts.get(parameter).map_or("", |alert| state_word(alert.state));
+        format!("{} {} {state}", parameter.0, estimate(display.mean, display.std)).trim_end().to_owned()
+    });
+    let parameters: Vec<String> = parameters.collect();
+    let stale = heard.silence_of_data(structure).map(|silence| format!("stale {}: ", duration(silence)));
+    format!(
+        "{} {name} {}{}{}",
+        time(time_ns),
+        stale.unwrap_or_default(),
+        parameters.join(", "),
+        services(heard, structure)
+    )
+}
+
+fn services(heard: &Heard, structure: &StructureHeard) -> String {
+    let mut text = String::new();
+    for ((service, id), instance) in &structure.instances {
+        if *service == Service::Sensor {
+            continue;
+        }
+        let separator = if text.is_empty() { "; " } else { ", " };
+        // writing to a String does not fail
+        let _ = write!(text, "{separator}{}/{id}", service.as_str());
+        let Some(status) = &instance.status else { continue };
+        if let Some(lag_s) = status.lag_s {
+            let _ = write!(text, " lag {}", lag(lag_s));
+        }
+        let dropped: u64 = status.drops.values().sum();
+        if dropped > 0 {
+            let _ = write!(text, " drops {dropped}");
+        }
+        if !instance.is_present {
+            text.push_str(" gone");
+        } else if let Some(silence) = heard.silence_of_status(instance) {
+            let _ = write!(text, " stale {}", duration(silence));
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::heard::Input;
+    use super::super::testing::{alert, at, damaged_tower, heard, name, parameter, present};
+    use super::*;
+    use spandrel_bus::AlertState;
+
+    fn line(heard: &Heard) -> String {
+        structure_line(heard, &name("tower"), heard.structure(&name("tower")).unwrap())
+    }
+
+    #[test]
+    fn a_change_of_an_alert_is_one_line() {
+        let mut raised = alert("storey-2", 45, AlertState::Raised);
+        raised.why = "storey-2 has lost\n14 %".to_owned();
+        assert_eq!(
+            alert_line(&raised),
+            "2024-02-29 12:00:45 UTC alert tower/storey-2 raised: storey-2 has lost 14 %"
+        );
+    }
+
+    #[test]
+    fn a_structure_is_one_line() {
+        assert_eq!(
+            line(&damaged_tower()),
+            "2024-02-29 12:00:59 UTC tower storey-1 1.002 ± 0.011 normal, storey-2 0.858 ± 0.011 raised, \
+             storey-3 1.002 ± 0.011 normal, storey-4 1.002 ± 0.011 normal, storey-5 1.002 ± 0.011 normal; \
+             ingest/a lag 0.12 s, identify/a lag 0.21 s drops 3, alert/a lag 0.25 s"
+        );
+    }
+
+    #[test]
+    fn stale_data_and_services_that_are_gone_are_marked() {
+        let mut heard = heard([Input::Parameter(parameter("storey-1", 0, 1.0, 0.1)), present(&[(Service::Ingest, "a")])]);
+        heard.handle(at(12), &mut Vec::new());
+        assert_eq!(line(&heard), "2024-02-29 12:00:00 UTC tower stale 12 s: storey-1 1.000 ± 0.100; ingest/a");
+        let mut tower = damaged_tower();
+        tower.handle(present(&[]), &mut Vec::new());
+        assert!(line(&tower).ends_with("ingest/a lag 0.12 s gone, identify/a lag 0.21 s drops 3 gone, alert/a lag 0.25 s gone"));
+    }
+
+    #[test]
+    fn before_the_first_value_there_are_no_data() {
+        assert_eq!(line(&heard([present(&[(Service::Ingest, "a")])])), "tower no data yet; ingest/a");
+    }
+}

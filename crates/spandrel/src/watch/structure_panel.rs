@@ -1,0 +1,284 @@
+//! One structure on the screen: its parameters, noise levels and services.
+
+use super::estimate_bar::{Axis, Marks};
+use super::heard::{Heard, InstanceHeard, ParameterHeard, StructureHeard};
+use super::trail::Trail;
+use super::wording::{duration, estimate, lag, printable, probability, share, significant, state_style, state_word, time};
+use super::wrap::flow;
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::text::{Line, Span};
+use spandrel_bus::{AlertMessage, AlertState, Name, NoiseDisplay, Service};
+
+/// Between columns.
+const GAP: &str = "  ";
+/// Longest name that is shown in full.
+const LONGEST_NAME: usize = 20;
+/// Width of `acknowledged`, the longest state.
+const STATE: usize = 12;
+/// Widths of `0.858 ± 0.011` and `0.836 to 0.880`.
+const ESTIMATE: usize = 13;
+const INTERVAL: usize = 14;
+/// From this width on there is room for a trend and the interval in numbers.
+const WIDE: usize = 110;
+/// A bar narrower than this says nothing.
+const NARROWEST_BAR: usize = 8;
+
+/// What stands in the panel of one structure.
+pub struct StructurePanel {
+    pub title: Line<'static>,
+    /// At the right of the title: the measurement time, or that it stands still.
+    pub time: Line<'static>,
+    header: Line<'static>,
+    rows: Vec<Line<'static>>,
+    /// Noise levels and services.
+    footer: Vec<Line<'static>>,
+}
+
+/// Widths of the columns; 0 is a column that there is no room for.
+#[derive(Debug, Clone, Copy)]
+struct Columns {
+    name: usize,
+    trend: usize,
+    bar: usize,
+    interval: usize,
+    loss: usize,
+}
+
+impl StructurePanel {
+    /// Prepares everything for lines of `width` characters.
+    pub fn new(heard: &Heard, name: &Name, structure: &StructureHeard, width: usize) -> Self {
+        let all_marks = structure.parameters.iter().map(|(name, parameter)| {
+            Marks::new(&parameter.display, structure.alerts.get(name))
+        });
+        let axis = Axis::around(all_marks.flat_map(|marks| marks.extent()));
+        let losses = Losses::new(structure);
+        let columns = Columns::new(structure, &losses, width);
+        let is_stale = heard.silence_of_data(structure).is_some();
+        let rows = structure.parameters.iter().map(|(name, parameter)| {
+            let row = row(axis, columns, &losses, parameter, structure.alerts.get(name));
+            if is_stale { row.patch_style(Modifier::DIM) } else { row }
+        });
+        Self {
+            title: title(name, structure),
+            time: time_of(heard, structure),
+            header: header(axis, columns, &losses),
+            rows: rows.collect(),
+            footer: footer(heard, structure, width),
+        }
+    }
+
+    /// Lines that the panel would like to have, borders not counted.
+    pub fn len(&self) -> usize {
+        1 + self.rows.len() + self.footer.len()
+    }
+
+    /// The lines that fit into `height`, starting with row `first` where not all do.
+    pub fn into_lines(self, height: usize, first: usize) -> Vec<Line<'static>> {
+        let Self { header, rows, footer, .. } = self;
+        let room = height.saturating_sub(1 + footer.len());
+        let mut lines = vec![header];
+        if rows.is_empty() {
+            lines.push(Line::from("no data yet").style(Modifier::DIM));
+        } else if rows.len() <= room {
+            lines.extend(rows);
+        } else {
+            let shown = room.saturating_sub(1);
+            let first = first.min(rows.len().saturating_sub(shown));
+            let hidden = rows.len() - shown;
+            lines.extend(rows.into_iter().skip(first).take(shown));
+            lines.push(Line::from(format!("… {hidden} more (PgUp, PgDn)")).style(Modifier::DIM));
+        }
+        lines.extend(footer);
+        lines
+    }
+}
+
+/// What the column of losses says: one loss for all in its header, or one in each row.
+struct Losses {
+    common: Option<f64>,
+    width: usize,
+}
+
+impl Losses {
+    fn new(structure: &StructureHeard) -> Self {
+        let mut losses = structure.parameters.values().map(|parameter| parameter.display.loss);
+        let first = losses.next();
+        let common = first.filter(|first| losses.all(|loss| loss == *first));
+        let mut all = Self { common, width: 0 };
+        let cells = structure.parameters.values().map(|parameter| all.cell(parameter).chars().count());
+        all.width = cells.max().unwrap_or(0).max(all.header().chars().count());
+        all
+    }
+
+    fn header(&self) -> String {
+        self.common.map_or_else(|| "P(loss)".to_owned(), |loss| format!("P(loss > {})", share(loss)))
+    }
+
+    fn cell(&self, parameter: &ParameterHeard) -> String {
+        let found = probability(parameter.display.probability_of_loss);
+        match self.common {
+            Some(_) => found,
+            None => format!("> {}: {found}", share(parameter.display.loss)),
+        }
+    }
+}
+
+impl Columns {
+    fn new(structure: &StructureHeard, losses: &Losses, width: usize) -> Self {
+        let longest = structure.parameters.keys().map(|name| name.0.as_str().len()).max().unwrap_or(0);
+        let name = longest.clamp("parameter".len(), LONGEST_NAME);
+        let column = |width: usize| GAP.len() + width;
+        let taken = name + column(ESTIMATE) + column(STATE);
+        let mut columns = Self { name, trend: 0, bar: 0, interval: 0, loss: losses.width };
+        let mut rest = width.saturating_sub(taken + column(losses.width));
+        if width >= WIDE {
+            columns.interval = INTERVAL;
+            rest = rest.saturating_sub(column(INTERVAL));
+            columns.trend = rest / 2 - GAP.len();
+            rest -= column(columns.trend);
+        }
+        if rest >= column(NARROWEST_BAR) {
+            columns.bar = rest - GAP.len();
+        }
+        if width < taken + column(losses.width) {
+            columns.loss = 0;
+        }
+        columns
+    }
+}
+
+fn cell(text: &str, width: usize) -> Option<Span<'static>> {
+    (width > 0).then(|| Span::raw(format!("{GAP}{text:<width$}")))
+}
+
+fn right_cell(text: &str, width: usize) -> Option<Span<'static>> {
+    (width > 0).then(|| Span::raw(format!("{GAP}{text:>width$}")))
+}
+
+fn header(axis: Axis, columns: Columns, losses: &Losses) -> Line<'static> {
+    let (low, high) = axis.labels();
+    let high_width = columns.bar.saturating_sub(low.len());
+    let spans = [
+        Some(Span::raw(format!("{:<width$}", "parameter", width = columns.name))),
+        right_cell(&format!("last {:.0} s", Trail::span_s(columns.trend)), columns.trend),
+        cell(&format!("{low}{high:>high_width$}"), columns.bar),
+        right_cell("mean ± std", ESTIMATE),
+        right_cell("95 % interval", columns.interval),
+        right_cell(&losses.header(), columns.loss),
+        cell("alert", STATE),
+    ];
+    Line::from_iter(spans.into_iter().flatten()).style(Modifier::DIM)
+}
+
+fn row(
+    axis: Axis,
+    columns: Columns,
+    losses: &Losses,
+    parameter: &ParameterHeard,
+    alert: Option<&AlertMessage>,
+) -> Line<'static> {
+    let ParameterHeard { display, trail } = parameter;
+    let style = alert.map_or(Style::new(), |alert| state_style(alert.state));
+    let state = alert.map_or("–", |alert| state_word(alert.state));
+    let bar = axis.bar(columns.bar, &Marks::new(display, alert));
+    let interval = format!("{:.3} to {:.3}", display.interval.low, display.interval.high);
+    let spans = [
+        Some(Span::raw(format!("{:<width$}", shortened(display.parameter.as_str()), width = columns.name))),
+        cell(&axis.trend(columns.trend, trail.last(columns.trend)), columns.trend),
+        cell(&bar, columns.bar).map(|span| span.style(style)),
+        right_cell(&estimate(display.mean, display.std), ESTIMATE),
+        right_cell(&interval, columns.interval),
+        right_cell(&losses.cell(parameter), columns.loss),
+        cell(state, STATE).map(|span| span.style(style)),
+    ];
+    Line::from_iter(spans.into_iter().flatten())
+}
+
+/// A name in the width that there is for names.
+fn shortened(name: &str) -> String {
+    if name.len() <= LONGEST_NAME {
+        return name.to_owned();
+    }
+    let kept: String = name.chars().take(LONGEST_NAME - 1).collect();
+    format!("{kept}…")
+}
+
+fn title(name: &Name, structure: &StructureHeard) -> Line<'static> {
+    let mut line = Line::from(Span::styled(name.to_string(), Modifier::BOLD));
+    for state in [AlertState::Raised, AlertState::Pending, AlertState::Acknowledged, AlertState::Cleared] {
+        let count = structure.alerts.values().filter(|alert| alert.state == state).count();
+        if count > 0 {
+            line.push_span(format!(" · {count} "));
+            line.push_span(Span::styled(state_word(state), state_style(state)));
+        }
+    }
+    line
+}
+
+fn time_of(heard: &Heard, structure: &StructureHeard) -> Line<'static> {
+    let measured = structure.time_ns.map(time);
+    match (measured, heard.silence_of_data(structure)) {
+        (Some(measured), None) => Line::from(measured),
+        (Some(measured), Some(silence)) => {
+            let warning = Style::new().fg(Color::Yellow).add_modifier(Modifier::BOLD);
+            Line::from_iter([Span::raw(format!("{measured} · ")), Span::styled(format!("stale {}", duration(silence)), warning)])
+        }
+        (None, _) => Line::from("no data yet"),
+    }
+}
+
+fn footer(heard: &Heard, structure: &StructureHeard, width: usize) -> Vec<Line<'static>> {
+    let mut lines = Vec::new();
+    if !structure.noise.is_empty() {
+        let levels = structure.noise.values().map(|level| Span::raw(noise_level(level)));
+        lines.extend(flow("noise (std)  ", levels.collect(), width));
+    }
+    let mut items = Vec::new();
+    let is_node = |(service, _): &(Service, Name)| *service == Service::Sensor;
+    let nodes = structure.instances.keys().filter(|key| is_node(key)).count();
+    if nodes > 0 {
+        items.push(Span::raw(format!("{nodes} sensor node{}", if nodes == 1 { "" } else { "s" })));
+    }
+    for ((service, id), instance) in structure.instances.iter().filter(|(key, _)| !is_node(key)) {
+        let alone = structure.instances.keys().filter(|(other, _)| other == service).count() == 1;
+        let who = if alone { service.as_str().to_owned() } else { format!("{}/{id}", service.as_str()) };
+        items.push(service_item(heard, who, instance));
+    }
+    if !items.is_empty() {
+        lines.extend(flow("services     ", items, width));
+    }
+    lines
+}
+
+/// The standard deviation of a noise source, as the structure file states it; the message carries the variance.
+fn noise_level(level: &NoiseDisplay) -> String {
+    let NoiseDisplay { name, mean, std, .. } = level;
+    if *mean <= 0.0 {
+        return format!("{name} 0");
+    }
+    let level = mean.sqrt();
+    let spread = std / (2.0 * level); // d√ψ = dψ / 2√ψ
+    format!("{name} {} ± {}", significant(level), significant(spread))
+}
+
+fn service_item(heard: &Heard, who: String, instance: &InstanceHeard) -> Span<'static> {
+    let mut text = who;
+    if let Some(status) = &instance.status {
+        text.push_str(&status.lag_s.map_or_else(|| " waits for data".to_owned(), |lag_s| format!(" lag {}", lag(lag_s))));
+        for (reason, count) in status.drops.iter().filter(|(_, count)| **count > 0) {
+            text.push_str(&format!(", {count} {}", printable(reason)));
+        }
+        match status.restarts {
+            0 => {}
+            1 => text.push_str(", 1 restart"),
+            restarts => text.push_str(&format!(", {restarts} restarts")),
+        }
+    }
+    if !instance.is_present {
+        return Span::styled(format!("{text}, gone"), Style::new().fg(Color::Red).add_modifier(Modifier::BOLD));
+    }
+    match heard.silence_of_status(instance) {
+        Some(silence) => Span::styled(format!("{text}, stale {}", duration(silence)), Color::Yellow),
+        None => Span::raw(text),
+    }
+}

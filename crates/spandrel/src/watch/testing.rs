@@ -1,0 +1,126 @@
+//! Messages for the tests of the view.
+
+use super::heard::{Heard, Input, Instance};
+use spandrel_bus::{
+    AlertMessage, AlertState, CredibleInterval, Event, EventKind, Name, NoiseDisplay, ParameterDisplay, Service, Status,
+};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// Measurement time of the messages unless a test says otherwise: 2024-02-29 12:00:00 UTC.
+pub const TIME_NS: i64 = 1_709_208_000_000_000_000;
+
+pub fn name(text: &str) -> Name {
+    Name::new(text).unwrap()
+}
+
+/// A parameter of `tower` at `second` after [`TIME_NS`].
+pub fn parameter(parameter: &str, second: i64, mean: f64, std: f64) -> ParameterDisplay {
+    ParameterDisplay {
+        structure: name("tower"),
+        parameter: name(parameter),
+        time_ns: TIME_NS + second * 1_000_000_000,
+        mean,
+        std,
+        interval: CredibleInterval { level: 0.95, low: mean - 1.96 * std, high: mean + 1.96 * std },
+        probability_of_loss: if mean < 0.95 { 0.997 } else { 0.012 },
+        loss: 0.05,
+        reference: 1.0,
+    }
+}
+
+pub fn noise(noise: &str, mean: f64, std: f64) -> NoiseDisplay {
+    NoiseDisplay { structure: name("tower"), name: name(noise), time_ns: TIME_NS, mean, std }
+}
+
+/// The alert of a parameter of `tower`, changed at `second` after [`TIME_NS`].
+pub fn alert(parameter: &str, second: i64, state: AlertState) -> AlertMessage {
+    AlertMessage {
+        structure: name("tower"),
+        parameter: name(parameter),
+        time_ns: TIME_NS + second * 1_000_000_000,
+        state,
+        since_ns: None,
+        rule_loss: 0.05,
+        rule_credibility: 0.95,
+        credibility: 0.997,
+        loss: Some(0.142),
+        loss_interval: Some(CredibleInterval { level: 0.95, low: 0.121, high: 0.163 }),
+        mean: 0.858,
+        std: 0.011,
+        reference: Some(1.0),
+        reference_std: Some(0.0),
+        acknowledged_by: None,
+        why: format!(
+            "{parameter} has lost 14.2 % of its stiffness (95 % interval 12.1 to 16.3 %), more than 5 % with \
+             probability 0.997, since 2024-02-29 12:00:40 UTC"
+        ),
+    }
+}
+
+pub fn event(what: &str, why: &str) -> Event {
+    Event {
+        structure: name("tower"),
+        time_ns: TIME_NS,
+        kind: EventKind::NodeExcluded,
+        subject: "floor-3".to_owned(),
+        what: what.to_owned(),
+        why: why.to_owned(),
+    }
+}
+
+pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
+    Status {
+        structure: name("tower"),
+        service: name(service.as_str()),
+        id: name("a"),
+        time_ns: TIME_NS,
+        lag_s: Some(lag_s),
+        done: 1200,
+        drops: drops.iter().map(|(reason, count)| ((*reason).to_owned(), *count)).collect::<BTreeMap<_, _>>(),
+        restarts: 0,
+        version: "0.1.0".to_owned(),
+    }
+}
+
+pub fn present(instances: &[(Service, &str)]) -> Input {
+    let instance = |(service, id): &(Service, &str)| Instance { structure: name("tower"), service: *service, id: name(id) };
+    Input::Present(instances.iter().map(instance).collect::<BTreeSet<_>>())
+}
+
+/// Everything that was heard, at 0 s.
+pub fn heard(inputs: impl IntoIterator<Item = Input>) -> Heard {
+    let mut heard = Heard::default();
+    for input in inputs {
+        heard.handle(input, &mut Vec::new());
+    }
+    heard
+}
+
+pub fn at(second: u64) -> Input {
+    Input::Now(Duration::from_secs(second))
+}
+
+/// Five storeys of which the second has lost stiffness, with services and events.
+pub fn damaged_tower() -> Heard {
+    let services = [(Service::Ingest, "a"), (Service::Identify, "a"), (Service::Alert, "a")];
+    let nodes = [(Service::Sensor, "ground"), (Service::Sensor, "floor-1"), (Service::Sensor, "floor-2")];
+    let mut inputs = vec![at(0), present(&[services.as_slice(), nodes.as_slice()].concat())];
+    for second in 0..60 {
+        for storey in 1..=5 {
+            let mean = if storey == 2 && second >= 30 { 0.858 } else { 1.002 };
+            inputs.push(Input::Parameter(parameter(&format!("storey-{storey}"), second, mean, 0.011)));
+        }
+    }
+    for storey in [1, 3, 4, 5] {
+        inputs.push(Input::Alert(alert(&format!("storey-{storey}"), 0, AlertState::Normal)));
+    }
+    inputs.push(Input::Alert(alert("storey-2", 45, AlertState::Raised)));
+    inputs.push(Input::Noise(noise("ground", 0.01, 0.0004)));
+    inputs.push(Input::Noise(noise("floors", 2.5e-5, 1e-6)));
+    inputs.push(Input::Status(status(Service::Ingest, 0.12, &[])));
+    inputs.push(Input::Status(status(Service::Identify, 0.21, &[("overwritten", 3)])));
+    inputs.push(Input::Status(status(Service::Alert, 0.25, &[])));
+    inputs.push(Input::Event(event("floor-3 is no longer waited for", "its liveliness token is gone")));
+    heard(inputs)
+}

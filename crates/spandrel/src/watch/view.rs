@@ -1,0 +1,324 @@
+//! What the person in front of the screen has chosen: keys in, actions out.
+
+use super::form::{Form, Typed};
+use super::heard::{Heard, StructureHeard};
+use super::wording::state_word;
+use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use spandrel_bus::{AlertMessage, AlertState, Name};
+use std::time::Duration;
+
+/// How long a notice stands in the last line.
+const NOTICE_FOR: Duration = Duration::from_secs(8);
+/// Parameters that a page key moves by.
+const PAGE: usize = 5;
+
+/// What has been heard, and what of it is being looked at.
+#[derive(Debug, Clone, Default)]
+pub struct View {
+    pub heard: Heard,
+    mode: Mode,
+    /// By name, so that a new structure or alert does not move the choice.
+    structure: Option<Name>,
+    alert: Option<(Name, Name)>,
+    first_parameter: usize,
+    notice: Option<Notice>,
+    /// Who acknowledged last; offered for the next time.
+    who: String,
+    overwritten: u64,
+}
+
+/// What the keys mean.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub enum Mode {
+    #[default]
+    Watching,
+    Help,
+    Acknowledging {
+        structure: Name,
+        parameter: Name,
+        form: Form,
+    },
+}
+
+/// What the person asks for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Action {
+    Quit,
+    Acknowledge { structure: Name, parameter: Name, who: String, note: String },
+}
+
+#[derive(Debug, Clone)]
+struct Notice {
+    text: String,
+    until: Duration,
+}
+
+/// A step through a list.
+#[derive(Debug, Clone, Copy)]
+enum Step {
+    Next,
+    Previous,
+}
+
+impl View {
+    /// Starts with nothing heard; `who` is offered as the name for acknowledgements.
+    pub fn new(who: String) -> Self {
+        Self { who, ..Self::default() }
+    }
+
+    /// Takes a key; returns what it asks for.
+    pub fn key(&mut self, key: KeyEvent) -> Option<Action> {
+        if key.modifiers.contains(KeyModifiers::CONTROL) && key.code == KeyCode::Char('c') {
+            return Some(Action::Quit);
+        }
+        match &mut self.mode {
+            Mode::Watching => return self.watching_key(key.code),
+            Mode::Help if key.code == KeyCode::Char('q') => return Some(Action::Quit),
+            Mode::Help => self.mode = Mode::Watching,
+            Mode::Acknowledging { structure, parameter, form } => match form.key(key) {
+                Typed::On => {}
+                Typed::Cancelled => self.mode = Mode::Watching,
+                Typed::Done => {
+                    let (structure, parameter) = (structure.clone(), parameter.clone());
+                    let (who, note) = (form.who.trim().to_owned(), form.note.trim().to_owned());
+                    self.who.clone_from(&who);
+                    self.mode = Mode::Watching;
+                    return Some(Action::Acknowledge { structure, parameter, who, note });
+                }
+            },
+        }
+        None
+    }
+
+    fn watching_key(&mut self, code: KeyCode) -> Option<Action> {
+        match code {
+            KeyCode::Char('q') | KeyCode::Esc => return Some(Action::Quit),
+            KeyCode::Char('?' | 'h') => self.mode = Mode::Help,
+            KeyCode::Char('a') => self.acknowledge(),
+            KeyCode::Tab | KeyCode::Right => self.choose_structure(Step::Next),
+            KeyCode::BackTab | KeyCode::Left => self.choose_structure(Step::Previous),
+            KeyCode::Down => self.choose_alert(Step::Next),
+            KeyCode::Up => self.choose_alert(Step::Previous),
+            KeyCode::PageDown => {
+                let last = self.selected_structure().map_or(0, |(_, heard)| heard.parameters.len().saturating_sub(1));
+                self.first_parameter = (self.first_parameter + PAGE).min(last);
+            }
+            KeyCode::PageUp => self.first_parameter = self.first_parameter.saturating_sub(PAGE),
+            _ => {}
+        }
+        None
+    }
+
+    fn choose_structure(&mut self, step: Step) {
+        let names: Vec<&Name> = self.heard.structures().map(|(name, _)| name).collect();
+        let at = self.selected_structure().and_then(|(selected, _)| names.iter().position(|name| *name == selected));
+        self.structure = step.around(at, names.len()).map(|index| names[index].clone());
+        self.first_parameter = 0;
+    }
+
+    fn choose_alert(&mut self, step: Step) {
+        let alerts = self.heard.open_alerts();
+        let at = self.selected_alert_index(&alerts);
+        let chosen = step.within(at, alerts.len()).map(|index| alerts[index]);
+        self.alert = chosen.map(|alert| (alert.structure.clone(), alert.parameter.clone()));
+    }
+
+    fn acknowledge(&mut self) {
+        let Some(alert) = self.selected_alert() else {
+            self.notify("there is no alert to acknowledge".to_owned());
+            return;
+        };
+        let (structure, parameter) = (alert.structure.clone(), alert.parameter.clone());
+        match alert.state {
+            AlertState::Raised | AlertState::Cleared | AlertState::Pending => {
+                self.mode = Mode::Acknowledging { structure, parameter, form: Form::new(self.who.clone()) };
+            }
+            AlertState::Acknowledged | AlertState::Learning | AlertState::Normal => {
+                let state = state_word(alert.state);
+                self.notify(format!("{structure}/{parameter} is {state}, there is nothing to acknowledge"));
+            }
+        }
+    }
+
+    /// Shows a text in the last line for a while.
+    pub fn notify(&mut self, text: String) {
+        self.notice = Some(Notice { text, until: self.heard.now() + NOTICE_FOR });
+    }
+
+    /// Takes how many messages have been pushed out by newer ones before they were shown.
+    pub fn set_overwritten(&mut self, overwritten: u64) {
+        self.overwritten = overwritten;
+    }
+
+    /// Messages that were pushed out by newer ones before they were shown.
+    pub fn overwritten(&self) -> u64 {
+        self.overwritten
+    }
+
+    /// What the keys mean now.
+    pub fn mode(&self) -> &Mode {
+        &self.mode
+    }
+
+    /// The notice that stands now.
+    pub fn notice(&self) -> Option<&str> {
+        let notice = self.notice.as_ref().filter(|notice| self.heard.now() <= notice.until);
+        notice.map(|notice| notice.text.as_str())
+    }
+
+    /// The structure that is looked at: the first one until another is chosen.
+    pub fn selected_structure(&self) -> Option<(&Name, &StructureHeard)> {
+        let chosen = self.structure.as_ref();
+        let named = self.heard.structures().find(|(name, _)| Some(*name) == chosen);
+        named.or_else(|| self.heard.structures().next())
+    }
+
+    /// First row of parameters that is shown of the selected structure.
+    pub fn first_parameter(&self) -> usize {
+        self.first_parameter
+    }
+
+    /// The alert that is chosen: the newest one until another is chosen.
+    pub fn selected_alert(&self) -> Option<&AlertMessage> {
+        let alerts = self.heard.open_alerts();
+        self.selected_alert_index(&alerts).map(|index| alerts[index])
+    }
+
+    /// Where the chosen alert stands among `alerts`, which are the open ones.
+    pub fn selected_alert_index(&self, alerts: &[&AlertMessage]) -> Option<usize> {
+        let chosen = self.alert.as_ref();
+        let is_chosen = |alert: &&AlertMessage| chosen.is_some_and(|(s, p)| (s, p) == (&alert.structure, &alert.parameter));
+        alerts.iter().position(is_chosen).or((!alerts.is_empty()).then_some(0))
+    }
+}
+
+impl Step {
+    /// The next index; after the last comes the first.
+    fn around(self, at: Option<usize>, len: usize) -> Option<usize> {
+        let at = at.filter(|_| len > 0)?;
+        Some(match self {
+            Self::Next => (at + 1) % len,
+            Self::Previous => (at + len - 1) % len,
+        })
+    }
+
+    /// The next index; at an end it stays.
+    fn within(self, at: Option<usize>, len: usize) -> Option<usize> {
+        let at = at.filter(|_| len > 0)?;
+        Some(match self {
+            Self::Next => (at + 1).min(len - 1),
+            Self::Previous => at.saturating_sub(1),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::heard::Input;
+    use super::super::testing::{alert, at, damaged_tower, heard, name, parameter};
+    use super::*;
+
+    fn view(heard: Heard) -> View {
+        View { heard, ..View::default() }
+    }
+
+    fn press(view: &mut View, codes: impl IntoIterator<Item = KeyCode>) -> Option<Action> {
+        codes.into_iter().filter_map(|code| view.key(KeyEvent::from(code))).last()
+    }
+
+    fn letters(text: &str) -> impl Iterator<Item = KeyCode> + '_ {
+        text.chars().map(KeyCode::Char)
+    }
+
+    fn selected(view: &View) -> &str {
+        view.selected_structure().unwrap().0.as_str()
+    }
+
+    #[test]
+    fn q_escape_and_control_c_quit() {
+        for key in [KeyEvent::from(KeyCode::Char('q')), KeyEvent::from(KeyCode::Esc)] {
+            assert_eq!(View::default().key(key), Some(Action::Quit));
+        }
+        let mut acknowledging = view(damaged_tower());
+        press(&mut acknowledging, [KeyCode::Char('a')]);
+        assert_eq!(press(&mut acknowledging, [KeyCode::Char('q')]), None, "a letter of the name");
+        let control_c = KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL);
+        assert_eq!(acknowledging.key(control_c), Some(Action::Quit));
+    }
+
+    #[test]
+    fn the_selected_alert_is_acknowledged_with_name_and_note() {
+        let mut view = view(damaged_tower());
+        press(&mut view, [KeyCode::Char('a')]);
+        press(&mut view, letters("anna "));
+        press(&mut view, [KeyCode::Tab]);
+        press(&mut view, letters("seen"));
+        let expected = Action::Acknowledge {
+            structure: name("tower"),
+            parameter: name("storey-2"),
+            who: "anna".to_owned(),
+            note: "seen".to_owned(),
+        };
+        assert_eq!(press(&mut view, [KeyCode::Enter]), Some(expected));
+        assert_eq!(*view.mode(), Mode::Watching);
+        press(&mut view, [KeyCode::Char('a')]);
+        assert!(matches!(view.mode(), Mode::Acknowledging { form, .. } if form.who == "anna"), "{:?}", view.mode());
+    }
+
+    #[test]
+    fn what_is_acknowledged_already_is_not_asked_for_again() {
+        let mut view = view(heard([Input::Alert(alert("storey-2", 1, AlertState::Acknowledged))]));
+        press(&mut view, [KeyCode::Char('a')]);
+        assert_eq!(*view.mode(), Mode::Watching);
+        assert_eq!(view.notice(), Some("tower/storey-2 is acknowledged, there is nothing to acknowledge"));
+    }
+
+    #[test]
+    fn a_notice_goes_after_a_while() {
+        let mut view = view(heard([at(100)]));
+        press(&mut view, [KeyCode::Char('a')]);
+        assert_eq!(view.notice(), Some("there is no alert to acknowledge"));
+        view.heard.handle(at(109), &mut Vec::new());
+        assert_eq!(view.notice(), None);
+    }
+
+    #[test]
+    fn a_new_alert_does_not_move_the_choice() {
+        let mut view = view(heard([
+            Input::Alert(alert("storey-1", 10, AlertState::Raised)),
+            Input::Alert(alert("storey-2", 20, AlertState::Raised)),
+        ]));
+        assert_eq!(view.selected_alert().unwrap().parameter, name("storey-2"), "the newest until chosen");
+        press(&mut view, [KeyCode::Down, KeyCode::Down]);
+        view.heard.handle(Input::Alert(alert("storey-3", 30, AlertState::Raised)), &mut Vec::new());
+        assert_eq!(view.selected_alert().unwrap().parameter, name("storey-1"));
+        press(&mut view, [KeyCode::Up, KeyCode::Up, KeyCode::Up]);
+        assert_eq!(view.selected_alert().unwrap().parameter, name("storey-3"));
+    }
+
+    #[test]
+    fn tab_goes_around_the_structures() {
+        let of = |structure: &str| {
+            let mut display = parameter("storey-1", 0, 1.0, 0.1);
+            display.structure = name(structure);
+            Input::Parameter(display)
+        };
+        let mut view = view(heard([of("bridge"), of("mast"), of("tower")]));
+        assert_eq!(selected(&view), "bridge");
+        press(&mut view, [KeyCode::Tab]);
+        assert_eq!(selected(&view), "mast");
+        press(&mut view, [KeyCode::Right, KeyCode::Tab]);
+        assert_eq!(selected(&view), "bridge");
+        press(&mut view, [KeyCode::BackTab]);
+        assert_eq!(selected(&view), "tower");
+    }
+
+    #[test]
+    fn help_is_left_by_any_key() {
+        let mut view = View::default();
+        press(&mut view, [KeyCode::Char('?')]);
+        assert_eq!(*view.mode(), Mode::Help);
+        assert_eq!(press(&mut view, [KeyCode::Esc]), None);
+        assert_eq!(*view.mode(), Mode::Watching);
+    }
+}

@@ -1,0 +1,168 @@
+//! Numbers, times and states as people read them.
+
+use jiff::Timestamp;
+use ratatui::style::{Color, Modifier, Style};
+use spandrel_bus::{AlertState, EventKind};
+use std::time::Duration;
+
+/// The state in one word.
+pub fn state_word(state: AlertState) -> &'static str {
+    match state {
+        AlertState::Learning => "learning",
+        AlertState::Normal => "normal",
+        AlertState::Pending => "pending",
+        AlertState::Raised => "raised",
+        AlertState::Acknowledged => "acknowledged",
+        AlertState::Cleared => "cleared",
+    }
+}
+
+/// The colour of a state; the word says the same.
+pub fn state_style(state: AlertState) -> Style {
+    match state {
+        AlertState::Learning => Style::new().fg(Color::Cyan),
+        AlertState::Normal => Style::new().fg(Color::Green),
+        AlertState::Pending => Style::new().fg(Color::Yellow),
+        AlertState::Raised => Style::new().fg(Color::Red).add_modifier(Modifier::BOLD),
+        AlertState::Acknowledged => Style::new().fg(Color::Magenta),
+        AlertState::Cleared => Style::new().fg(Color::Blue),
+    }
+}
+
+/// The kind of an event in words.
+pub fn event_word(kind: EventKind) -> &'static str {
+    match kind {
+        EventKind::Restart => "restart",
+        EventKind::Calibration => "calibration",
+        EventKind::LeadingClass => "model class",
+        EventKind::NodeExcluded => "node out",
+        EventKind::NodeBack => "node back",
+        EventKind::ChannelExcluded => "channel out",
+        EventKind::ChannelBack => "channel back",
+        EventKind::Gap => "gap",
+    }
+}
+
+/// Mean and standard deviation: `0.858 ± 0.011`.
+pub fn estimate(mean: f64, std: f64) -> String {
+    format!("{mean:.3} ± {std:.3}")
+}
+
+/// A probability in per cent that never reads as certainty.
+pub fn probability(value: f64) -> String {
+    const LEAST: f64 = 0.001;
+    if value < LEAST {
+        "< 0.1 %".to_owned()
+    } else if value > 1.0 - LEAST {
+        "> 99.9 %".to_owned()
+    } else {
+        format!("{:.1} %", value * 100.0)
+    }
+}
+
+/// A share in per cent, with a decimal only where it needs one.
+pub fn share(value: f64) -> String {
+    let text = format!("{:.1}", value * 100.0);
+    format!("{} %", text.strip_suffix(".0").unwrap_or(&text))
+}
+
+/// Three significant digits.
+pub fn significant(value: f64) -> String {
+    /// Below this leading zeros are harder to count than an exponent.
+    const SMALL: f64 = 1e-3;
+    /// Above this digits are harder to count than an exponent.
+    const LARGE: f64 = 1e6;
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    if !(SMALL..LARGE).contains(&value.abs()) {
+        return format!("{value:.2e}");
+    }
+    let decimals = 2 - value.abs().log10().floor() as i32;
+    format!("{value:.*}", usize::try_from(decimals).unwrap_or(0))
+}
+
+/// A span of time in the unit that suits it: `12 s`, `5 min`.
+pub fn duration(span: Duration) -> String {
+    seconds(span.as_secs_f64())
+}
+
+fn seconds(span_s: f64) -> String {
+    const UNITS: [(f64, &str); 5] =
+        [(365.25 * 86_400.0, "years"), (86_400.0, "days"), (3600.0, "h"), (60.0, "min"), (1.0, "s")];
+    /// Two of a unit, so that 90 s are not told as 1 min.
+    const FROM: f64 = 2.0;
+    let fitting = UNITS.into_iter().find(|(unit_s, _)| span_s >= FROM * unit_s);
+    match fitting {
+        Some((unit_s, unit)) => format!("{:.0} {unit}", (span_s / unit_s).floor()),
+        None => format!("{span_s:.2} s"),
+    }
+}
+
+/// How far behind the clock something is; a simulation that outruns the clock is ahead.
+pub fn lag(lag_s: f64) -> String {
+    if lag_s < 0.0 { format!("{} ahead", seconds(-lag_s)) } else { seconds(lag_s) }
+}
+
+/// A measurement time: of a record that starts at 0 in seconds, otherwise by the calendar, UTC.
+pub fn time(time_ns: i64) -> String {
+    /// Three years: no record from 0 is longer, and no clock is so far behind.
+    const RECORD_NS: u64 = 100_000_000_000_000_000;
+    match Timestamp::from_nanosecond(i128::from(time_ns)) {
+        Ok(calendar) if time_ns.unsigned_abs() >= RECORD_NS => calendar.strftime("%Y-%m-%d %H:%M:%S UTC").to_string(),
+        _ => format!("{:.2} s", time_ns as f64 / 1e9),
+    }
+}
+
+/// The text on one line, without what would steer a terminal: messages come from anywhere.
+pub fn printable(text: &str) -> String {
+    text.chars().map(|letter| if letter.is_control() { ' ' } else { letter }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn probabilities_never_read_as_certainty() {
+        for (value, expected) in [(0.0, "< 0.1 %"), (0.012, "1.2 %"), (0.5, "50.0 %"), (1.0, "> 99.9 %")] {
+            assert_eq!(probability(value), expected);
+        }
+    }
+
+    #[test]
+    fn noise_levels_have_three_digits_whatever_their_size() {
+        for (value, expected) in
+            [(0.1, "0.100"), (0.005, "0.00500"), (205.36, "205"), (1234.5, "1234"), (1e-7, "1.00e-7"), (0.0, "0")]
+        {
+            assert_eq!(significant(value), expected);
+        }
+    }
+
+    #[test]
+    fn spans_are_told_in_the_unit_that_suits_them() {
+        for (value, expected) in
+            [(0.12, "0.12 s"), (12.9, "12 s"), (90.0, "90 s"), (150.0, "2 min"), (7300.0, "2 h"), (8.7e8, "27 years")]
+        {
+            assert_eq!(lag(value), expected);
+        }
+        assert_eq!(lag(-12.0), "12 s ahead");
+    }
+
+    #[test]
+    fn shares_are_whole_where_they_can_be() {
+        assert_eq!((share(0.05), share(0.125)), ("5 %".to_owned(), "12.5 %".to_owned()));
+    }
+
+    #[test]
+    fn time_of_a_record_is_in_seconds_and_that_of_a_clock_by_the_calendar() {
+        assert_eq!(time(61_200_000_000), "61.20 s");
+        assert_eq!(time(1_709_208_000_000_000_001), "2024-02-29 12:00:00 UTC");
+        assert_eq!(time(i64::MIN), "1677-09-21 00:12:43 UTC");
+    }
+
+    #[test]
+    fn texts_from_outside_cannot_steer_the_terminal() {
+        assert_eq!(printable("a\u{1b}[2Jb\nc"), "a [2Jb c");
+    }
+}

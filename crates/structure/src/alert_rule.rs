@@ -1,0 +1,37 @@
+//! What the owner wants to be told: which loss, how sure, for how long.
+
+/// Asks for an alert when a parameter has lost a share of its reference with a given credibility.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AlertRule {
+    /// Parameters (indices in state order) that the rule watches, each on its own.
+    pub parameters: Vec<usize>,
+    /// The loss, a share of the reference (0..1).
+    pub loss: f64,
+    /// Probability of that loss (0..1) from which the alert is raised.
+    pub credibility: f64,
+    /// How long (s) the probability must stay there.
+    pub sustain_s: f64,
+    /// Probability of that loss (0..1) below which a raised alert is cleared; below `credibility`.
+    pub clear_credibility: f64,
+    /// What the loss is counted from.
+    pub reference: Reference,
+}
+
+/// The value a loss is counted from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Reference {
+    /// As designed: 1, known exactly.
+    Design,
+    /// Learnt from the estimates of the first seconds.
+    Baseline {
+        /// How long to learn (s).
+        learn_s: f64,
+    },
+    /// Given by the owner (ratios to nominal), an entry per watched parameter.
+    Given {
+        /// Mean of the reference.
+        mean: Vec<f64>,
+        /// Its standard deviation, not negative.
+        std: Vec<f64>,
+    },
+}

@@ -1,0 +1,206 @@
+//! What a check has to say, as data and as sentences.
+
+use super::{IdentificationReport, TimeStepReport};
+use serde::Serialize;
+use std::fmt;
+
+/// Two quantities with a correlation beyond this cannot be told apart.
+const CONFOUNDED: f64 = 0.98;
+/// A parameter whose deviation does not fall below this share of its prior is not identified.
+const INFORMED: f64 = 0.5;
+/// A level 10 % off may shift a parameter by this much before it is worth a note: the size of a small damage.
+const NOTABLE_SHIFT: f64 = 0.02;
+/// A filter that needs more memories than this to forget an error has counted data that taught it nothing.
+const SLOW: f64 = 2.0;
+/// An adapted level that moves this much faster than its half-life runs after single gusts and shocks.
+const HASTY: f64 = 5.0;
+
+/// How serious a finding is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Severity {
+    /// The file asks for what these sensors cannot give.
+    Warning,
+    /// The file can be used; this is what its results rest on.
+    Note,
+}
+
+/// One finding of a check.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum Finding {
+    /// A mode is neither damped nor observed: no filter settles.
+    NotObservable,
+    /// The data say little of a parameter.
+    Uninformed {
+        /// The parameter.
+        parameter: String,
+        /// Its expected standard deviation after the duration, a share of the prior one.
+        ratio: f64,
+    },
+    /// Two parameters have the same effect on these sensors.
+    ParametersConfounded {
+        /// The first parameter.
+        first: String,
+        /// The second parameter.
+        second: String,
+        /// Their correlation.
+        correlation: f64,
+    },
+    /// A change of a parameter looks like a change of a noise level to these sensors.
+    LevelConfounded {
+        /// The parameter.
+        parameter: String,
+        /// The noise level.
+        level: String,
+        /// Their correlation, were the level unknown.
+        correlation: f64,
+        /// Shift of the parameter if the level is stated 10 % too high.
+        shift: f64,
+        /// The file asks to adapt the level.
+        adapted: bool,
+    },
+    /// The filter will be surer of a parameter than it should be, and slow to correct it.
+    SlowToSettle {
+        /// The parameter.
+        parameter: String,
+        /// Time (s) in which an error falls to a third.
+        settling_s: f64,
+        /// Time (s) that the memory of the filter would need.
+        memory_s: f64,
+    },
+    /// An adapted noise level will run after every burst.
+    HastyLevel {
+        /// The noise level.
+        level: String,
+        /// How many times faster than its half-life it moves.
+        haste: f64,
+    },
+    /// The highest frequency of the model is so high that each time step is cut.
+    SubstepsNeeded {
+        /// Substeps of each step.
+        substeps: usize,
+        /// Highest natural frequency of the model (Hz).
+        highest_frequency_hz: f64,
+    },
+}
+
+impl Finding {
+    /// Returns how serious it is.
+    #[must_use]
+    pub fn severity(&self) -> Severity {
+        match self {
+            Self::NotObservable
+            | Self::Uninformed { .. }
+            | Self::ParametersConfounded { .. }
+            | Self::LevelConfounded { adapted: true, .. }
+            | Self::SlowToSettle { .. }
+            | Self::HastyLevel { .. } => Severity::Warning,
+            Self::LevelConfounded { adapted: false, .. } | Self::SubstepsNeeded { .. } => Severity::Note,
+        }
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotObservable => {
+                f.write_str("some mode is neither damped nor seen by a sensor: no filter settles on it")
+            }
+            Self::Uninformed { parameter, ratio } => write!(
+                f,
+                "{parameter}: these sensors hardly inform it, its standard deviation stays at {:.0} % of the prior",
+                100.0 * ratio
+            ),
+            Self::ParametersConfounded { first, second, correlation } => {
+                write!(f, "{first} and {second} cannot be told apart by these sensors (correlation {correlation:.3})")
+            }
+            Self::LevelConfounded { parameter, level, correlation, shift, adapted } => {
+                write!(
+                    f,
+                    "{parameter} and the level of {level} are hard to tell apart by these sensors: a level stated 10 % too \
+                     high shifts {parameter} by {:+.1} % (correlation {correlation:.2})",
+                    100.0 * shift
+                )?;
+                f.write_str(if *adapted {
+                    "; but the file asks to adapt that level: state it, or measure it"
+                } else {
+                    "; the result rests on the level that the file states, do not adapt it"
+                })
+            }
+            Self::SlowToSettle { parameter, settling_s, memory_s } => write!(
+                f,
+                "{parameter}: the filter takes {settling_s:.0} s to forget an error, not the {memory_s:.0} s of its memory, \
+                 and reports an interval that is too narrow meanwhile"
+            ),
+            Self::HastyLevel { level, haste } => write!(
+                f,
+                "the level of {level} would be adapted {haste:.0} times faster than its half-life says: give a \
+                 noise-half-life-s that much longer, or state the level"
+            ),
+            Self::SubstepsNeeded { substeps, highest_frequency_hz } => write!(
+                f,
+                "each time step is cut into {substeps} substeps, because the model reaches {highest_frequency_hz:.1} Hz: \
+                 a higher sampling rate or a coarser model would be cheaper"
+            ),
+        }
+    }
+}
+
+/// Collects the findings, warnings first.
+pub(super) fn find(identification: Option<&IdentificationReport>, time_step: &TimeStepReport) -> Vec<Finding> {
+    let mut findings = match identification {
+        None => vec![Finding::NotObservable],
+        Some(identification) => of_identification(identification),
+    };
+    if time_step.substeps > 1 {
+        let TimeStepReport { substeps, highest_frequency_hz, .. } = *time_step;
+        findings.push(Finding::SubstepsNeeded { substeps, highest_frequency_hz });
+    }
+    findings.sort_by_key(Finding::severity);
+    findings
+}
+
+fn of_identification(report: &IdentificationReport) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    let parameters = &report.parameters;
+    for (index, parameter) in parameters.iter().enumerate() {
+        let ratio = parameter.std_after / parameter.prior_std;
+        if ratio > INFORMED {
+            findings.push(Finding::Uninformed { parameter: parameter.name.clone(), ratio });
+        }
+        for (other, second) in parameters.iter().enumerate().skip(index + 1) {
+            let correlation = report.correlations[index][other];
+            if correlation.abs() > CONFOUNDED {
+                let (first, second) = (parameter.name.clone(), second.name.clone());
+                findings.push(Finding::ParametersConfounded { first, second, correlation });
+            }
+        }
+        for (level_index, level) in report.noise_levels.iter().enumerate() {
+            let (correlation, shift) =
+                (report.correlations[index][parameters.len() + level_index], parameter.shifts[level_index]);
+            if correlation.abs() > CONFOUNDED || shift.abs() > NOTABLE_SHIFT {
+                findings.push(Finding::LevelConfounded {
+                    parameter: parameter.name.clone(),
+                    level: level.name.clone(),
+                    correlation,
+                    shift,
+                    adapted: level.adapted,
+                });
+            }
+        }
+        // a negative time would be an error that grows; what is not informed does not settle anyway
+        let slow = parameter.settling_s > SLOW * report.memory_s || parameter.settling_s < 0.0;
+        if slow && ratio <= INFORMED {
+            findings.push(Finding::SlowToSettle {
+                parameter: parameter.name.clone(),
+                settling_s: parameter.settling_s,
+                memory_s: report.memory_s,
+            });
+        }
+    }
+    for level in report.noise_levels.iter().filter(|level| level.adapted && level.haste > HASTY) {
+        findings.push(Finding::HastyLevel { level: level.name.clone(), haste: level.haste });
+    }
+    findings
+}

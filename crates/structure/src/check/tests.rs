@@ -1,0 +1,185 @@
+//! The analysis against closed forms, and the cases that it must warn of.
+
+use super::*;
+use std::path::Path;
+
+fn parse(text: &str) -> Structure {
+    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/examples/tower.toml"));
+    Structure::parse(text, path).unwrap_or_else(|error| panic!("{error}"))
+}
+
+const DEMO: &str = include_str!("../../../../docs/examples/demo.toml");
+const OUTPUT_ONLY: &str = include_str!("../../../../docs/examples/output-only.toml");
+
+/// One mass `m = 2` kg on a spring `k = 200` N/m, `C = α M`, pushed by unknown white noise; an almost perfect sensor
+/// sees its velocity.
+const OSCILLATOR: &str = r#"
+[structure]
+name = "oscillator"
+sampling-rate-hz = 400
+[model]
+kind = "shear-building"
+masses-kg = [2]
+stiffnesses-n-per-m = [200]
+[damping]
+kind = "rayleigh"
+alpha-per-s = 0.8
+[[parameter]]
+name = "spring"
+scales = "stiffness"
+of = ["storey-1"]
+[[excitation]]
+name = "push"
+kind = "force"
+dof = 1
+std = 10
+[[node]]
+name = "mass"
+[[node.channel]]
+name = "speed"
+quantity = "velocity"
+dof = 1
+unit = "m/s"
+noise-std = 1e-7
+"#;
+
+/// With the motion known, each frame is one equation `m ẍ + c ẋ + k x = f` for `k`, so that `I = (k σ_x/σ_f)²`; and white
+/// samples give `σ_x² = σ_f² Δt / (2 c k)`, hence `I = k Δt / (2 c)` per frame.
+#[test]
+fn a_perfect_sensor_holds_the_information_of_the_equation_of_motion() {
+    let information = Information::expected(&parse(OSCILLATOR), 400_000, 1).unwrap();
+    let expected = 200.0 / 400.0 / (2.0 * 0.8 * 2.0);
+    let found = information.held[(0, 0)];
+    // σ_x² over 1000 s: the energy has a correlation time 1/α, hence a relative deviation √(2/(α T)) = 5 %; three of them
+    assert!((found / expected - 1.0).abs() < 0.15, "{found} instead of {expected}");
+    // with a perfect sensor nothing of the gain depends on the stiffness: the filter uses all that there is
+    assert!((information.counted[(0, 0)] / found - 1.0).abs() < 1e-3);
+    assert!((information.pull[(0, 0)] / found - 1.0).abs() < 1e-3);
+}
+
+/// A level known from `N` perfect samples has the relative deviation `1/√(2N)`.
+#[test]
+fn a_level_seen_directly_is_known_as_a_variance_of_samples() {
+    let information = Information::expected(&parse(OSCILLATOR), 4000, 1).unwrap();
+    // ½ per frame in the logarithm of the variance
+    assert!((information.held[(1, 1)] - 0.5).abs() < 0.01, "{}", information.held[(1, 1)]);
+}
+
+#[test]
+fn the_demo_is_identifiable() {
+    let report = parse(DEMO).check(60.0, 1);
+    assert_eq!(report.findings, []);
+    let identification = report.identification.unwrap();
+    for parameter in &identification.parameters {
+        assert!(parameter.std_after < 0.005, "{}: {}", parameter.name, parameter.std_after);
+        // it reports what it knows, and forgets as its memory says: λ = 2^(2/1000) at 100 Hz, 10 ms/(λ − 1) = 7.2 s
+        assert!((parameter.std_reported / parameter.std_steady - 1.0).abs() < 0.01);
+        assert!((parameter.settling_s - 7.21).abs() < 0.1, "{}", parameter.settling_s);
+    }
+}
+
+/// More data by a factor of four halve the deviation, once the prior is forgotten.
+#[test]
+fn deviations_fall_with_the_root_of_the_duration() {
+    let demo = parse(DEMO);
+    let after = |duration_s| demo.check(duration_s, 1).identification.unwrap().parameters[1].std_after;
+    let ratio = after(50.0) / after(200.0);
+    assert!((ratio - 2.0).abs() < 0.2, "{ratio}");
+}
+
+#[test]
+fn without_a_sensor_at_the_ground_storey_1_rests_on_the_level_of_the_motion() {
+    let report = parse(OUTPUT_ONLY).check(60.0, 1);
+    let [finding] = &report.findings[..] else { panic!("{:?}", report.findings) };
+    let Finding::LevelConfounded { parameter, level, shift, adapted: false, .. } = finding else {
+        panic!("{finding:?}")
+    };
+    assert_eq!((parameter.as_str(), level.as_str()), ("storey-1", "ground"));
+    assert!(*shift < -0.02, "more motion of the ground reads as a softer storey: {shift}");
+    assert_eq!(finding.severity(), Severity::Note);
+}
+
+#[test]
+fn adapting_the_level_of_an_unmeasured_ground_motion_is_warned_of() {
+    let report = parse(&OUTPUT_ONLY.replace("adapt = false", "adapt = true")).check(60.0, 1);
+    let warned = |finding: &&Finding| {
+        matches!(finding, Finding::LevelConfounded { parameter, level, adapted: true, .. }
+            if parameter == "storey-1" && level == "ground")
+    };
+    let finding = report.findings.iter().find(warned).expect("storey 1 and the ground");
+    assert_eq!(finding.severity(), Severity::Warning);
+    let settles = |f: &Finding| matches!(f, Finding::SlowToSettle { parameter, .. } if parameter == "storey-1");
+    assert!(report.findings.iter().any(settles), "{:?}", report.findings);
+}
+
+/// Two parameters on springs that act in parallel between the same two points have the same effect.
+#[test]
+fn springs_in_parallel_cannot_be_told_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, value) in [("m.mtx", 2), ("k.mtx", 100)] {
+        let text = format!("%%MatrixMarket matrix coordinate real general\n1 1 1\n1 1 {value}\n");
+        std::fs::write(folder.path().join(name), text).unwrap();
+    }
+    let text = OSCILLATOR
+        .replace(
+            "kind = \"shear-building\"\nmasses-kg = [2]\nstiffnesses-n-per-m = [200]",
+            "kind = \"matrices\"\nmass = \"m.mtx\"\nsubstructures = { left = \"k.mtx\", right = \"k.mtx\" }",
+        )
+        .replace(
+            "of = [\"storey-1\"]",
+            "of = [\"left\"]\n[[parameter]]\nname = \"other\"\nscales = \"stiffness\"\nof = [\"right\"]",
+        );
+    let structure = Structure::parse(&text, &folder.path().join("tower.toml")).unwrap_or_else(|e| panic!("{e}"));
+    let report = structure.check(60.0, 1);
+    let confounded =
+        |f: &Finding| matches!(f, Finding::ParametersConfounded { correlation, .. } if *correlation < -0.98);
+    assert!(report.findings.iter().any(confounded), "{:?}", report.findings);
+    // only the sum is known: each keeps 1/√2 of its prior
+    let ratio = report.identification.unwrap().parameters[0].std_after / 0.2;
+    assert!((ratio - 0.5_f64.sqrt()).abs() < 0.01, "{ratio}");
+}
+
+#[test]
+fn a_parameter_that_the_data_hardly_inform_is_warned_of() {
+    let text =
+        DEMO.replace("[[excitation]]", "[[parameter]]\nname = \"alpha\"\nscales = \"damping-alpha\"\n\n[[excitation]]");
+    let report = parse(&text).check(0.2, 1);
+    let uninformed =
+        |f: &Finding| matches!(f, Finding::Uninformed { parameter, ratio } if parameter == "alpha" && *ratio > 0.5);
+    assert!(report.findings.iter().any(uninformed), "{:?}", report.findings);
+}
+
+#[test]
+fn a_model_faster_than_the_sampling_needs_substeps() {
+    let report = parse(&DEMO.replace("first-frequency-hz = 1.0", "first-frequency-hz = 10.0")).check(5.0, 1);
+    let substeps = |f: &Finding| matches!(f, Finding::SubstepsNeeded { substeps, .. } if *substeps > 1);
+    assert!(report.findings.iter().any(substeps), "{:?}", report.findings);
+}
+
+/// `Σ ∂ln ω/∂θ = ½` over all storeys: twice the stiffness everywhere is √2 of every frequency.
+#[test]
+fn frequencies_share_their_sensitivity_among_the_storeys() {
+    for mode in parse(DEMO).check(1.0, 1).modes {
+        let sum: f64 = mode.sensitivity.iter().sum();
+        assert!((sum - 0.5).abs() < 1e-12, "{sum}");
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_report() {
+    let json = |seed| serde_json::to_string(&parse(DEMO).check(5.0, seed)).unwrap();
+    assert_eq!(json(1), json(1));
+    assert_ne!(json(1), json(2));
+}
+
+#[test]
+fn the_page_names_every_parameter_and_every_finding() {
+    let report = parse(OUTPUT_ONLY).check(20.0, 1);
+    let page = report.to_string();
+    for name in ["structure output-only", "storey-1", "storey-5", "floors", "memory of the filter is 21.6 s"] {
+        assert!(page.contains(name), "{name} is not in\n{page}");
+    }
+    for finding in &report.findings {
+        assert!(page.contains(&finding.to_string()), "{finding}");
+    }
+}

@@ -1,0 +1,102 @@
+//! Collects the mistakes of one structure file while it is read, so that all are reported at once.
+
+use crate::error::Diagnostic;
+use std::cell::RefCell;
+use std::ops::Range;
+use std::path::Path;
+
+/// Names further away than this are not suggested: a different word helps nobody.
+const CLOSEST_SUGGESTION: usize = 3;
+
+/// Collects mistakes; knows the file, to turn byte positions into lines.
+///
+/// It is shared by the readers of all tables, hence the inner mutability.
+pub(crate) struct Diagnostics<'t> {
+    path: &'t Path,
+    line_starts: Vec<usize>,
+    found: RefCell<Vec<Diagnostic>>,
+}
+
+impl<'t> Diagnostics<'t> {
+    pub(crate) fn new(path: &'t Path, text: &str) -> Self {
+        let after_breaks = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at + 1);
+        Self { path, line_starts: std::iter::once(0).chain(after_breaks).collect(), found: RefCell::default() }
+    }
+
+    /// Adds one mistake at the bytes `span` of the file.
+    pub(crate) fn report(
+        &self,
+        span: Range<usize>,
+        key: impl Into<String>,
+        found: impl Into<String>,
+        allowed: impl Into<String>,
+    ) {
+        let line = self.line_starts.partition_point(|start| *start <= span.start);
+        self.found.borrow_mut().push(Diagnostic::new(self.path, line, key, found, allowed));
+    }
+
+    /// Returns the file being read, which other files are relative to.
+    pub(crate) fn path(&self) -> &Path {
+        self.path
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.found.borrow().is_empty()
+    }
+
+    /// Returns all mistakes in the order of the file.
+    pub(crate) fn into_sorted(self) -> Vec<Diagnostic> {
+        let mut found = self.found.into_inner();
+        found.sort_by_key(Diagnostic::line);
+        found
+    }
+}
+
+/// Returns the nearest of `known` names as a hint, or the list of all of them.
+pub(crate) fn one_of<'k>(unknown: &str, known: impl Iterator<Item = &'k str> + Clone) -> String {
+    match known.clone().map(|name| (edit_distance(unknown, name), name)).min() {
+        Some((distance, name)) if distance <= CLOSEST_SUGGESTION && distance < unknown.len() => {
+            format!("did you mean \"{name}\"?")
+        }
+        Some(_) => format!("must be one of {}", known.collect::<Vec<_>>().join(", ")),
+        None => "none is declared".to_owned(),
+    }
+}
+
+/// Returns how many insertions, deletions and replacements turn `a` into `b` (Levenshtein).
+fn edit_distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, from) in a.chars().enumerate() {
+        let mut diagonal = i;
+        row[0] = i + 1;
+        for (j, to) in b.iter().enumerate() {
+            let replaced = diagonal + usize::from(from != *to);
+            diagonal = row[j + 1];
+            row[j + 1] = replaced.min(diagonal + 1).min(row[j] + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_close_name_is_suggested_and_a_far_one_brings_the_list() {
+        let known = ["half-life-s", "noise-rule"];
+        assert_eq!(one_of("half-live-s", known.into_iter()), "did you mean \"half-life-s\"?");
+        assert_eq!(one_of("colour", known.into_iter()), "must be one of half-life-s, noise-rule");
+    }
+
+    #[test]
+    fn a_position_becomes_the_line_it_is_on() {
+        let diagnostics = Diagnostics::new(Path::new("a.toml"), "a\nb\nc");
+        for at in 0..5 {
+            diagnostics.report(at..at, "k", "f", "a");
+        }
+        let lines: Vec<usize> = diagnostics.into_sorted().iter().map(Diagnostic::line).collect();
+        assert_eq!(lines, [1, 1, 2, 2, 3]);
+    }
+}

@@ -1,0 +1,221 @@
+//! Reads a structure file from top to bottom and puts the structure together.
+//!
+//! Each table is checked as far as what it refers to could be read, so that one mistake hides no other; a structure
+//! comes out only when there is none.
+
+mod alert;
+mod damping;
+mod excitation;
+mod filter;
+mod matrices;
+mod model;
+mod node;
+mod parameter;
+mod record;
+mod simulation;
+
+use crate::diagnostics::{Diagnostics, one_of};
+use crate::error::StructureError;
+use crate::noise_level::{NoiseLevel, NoiseSource};
+use crate::section::{Allowed, Section};
+use crate::structure::Structure;
+use node::ChannelRead;
+use std::path::Path;
+use toml::Spanned;
+use toml::de::DeTable;
+
+/// A structure file as read: its text and its tables with the place of every key and value.
+pub(crate) struct StructureFile<'t> {
+    text: &'t str,
+    document: Spanned<DeTable<'t>>,
+}
+
+/// The `[structure]` table.
+struct Head {
+    name: Option<String>,
+    description: String,
+    rate_hz: Option<f64>,
+    display_rate_hz: f64,
+}
+
+/// Default of `display-rate-hz`: as fast as an eye follows.
+const DISPLAY_RATE_HZ: f64 = 10.0;
+
+impl<'t> StructureFile<'t> {
+    /// Reads the TOML; every syntax error is reported with its line.
+    pub(crate) fn parse(text: &'t str, path: &Path) -> Result<Self, StructureError> {
+        let (document, errors) = DeTable::parse_recoverable(text);
+        if errors.is_empty() {
+            return Ok(Self { text, document });
+        }
+        let diagnostics = Diagnostics::new(path, text);
+        for error in errors {
+            let found = error.message().trim().replace('\n', ", ");
+            diagnostics.report(error.span().unwrap_or(0..0), "syntax", found, "must be TOML");
+        }
+        Err(StructureError::Invalid { diagnostics: diagnostics.into_sorted() })
+    }
+
+    /// Checks everything and puts the structure together.
+    pub(crate) fn resolve(&self, path: &Path) -> Result<Structure, StructureError> {
+        let diagnostics = Diagnostics::new(path, self.text);
+        let structure = self.read(&diagnostics);
+        let clean = diagnostics.is_empty();
+        match structure {
+            Some(structure) if clean => Ok(structure),
+            _ => Err(StructureError::Invalid { diagnostics: diagnostics.into_sorted() }),
+        }
+    }
+
+    fn read(&self, diagnostics: &Diagnostics<'_>) -> Option<Structure> {
+        let mut file = Section::new(self.document.get_ref(), "", 0..0, diagnostics);
+        let head = read_head(&mut file);
+        let mut system = file.required_table("model").and_then(model::read_model);
+        let damping_section = file.required_table("damping");
+        let damping = damping_section.and_then(|section| damping::read_damping(section, system.as_ref()));
+        if let (Some(system), Some(damping)) = (&mut system, &damping) {
+            system.damping = damping.clone();
+        }
+        let system = system.as_ref();
+        let nodes = node::read_nodes(&mut file, head.rate_hz, system);
+        let channels = (!nodes.incomplete).then_some(&nodes.channels[..]);
+        let excitations =
+            excitation::read_excitations(&mut file, &excitation::Context { rate_hz: head.rate_hz, system, channels });
+        let (declared, parameters) = parameter::read_parameters(&mut file, system, damping.as_ref());
+        let noise_levels = read_noise_levels(&file, &nodes.channels, &excitations);
+        let parameter_names: Vec<&str> = parameters.iter().map(|read| read.parameter.name()).collect();
+        let parameter_names = (declared == parameters.len()).then_some(&parameter_names[..]);
+        let node_names: Vec<&str> = nodes.nodes.iter().map(crate::Node::name).collect();
+        let node_names = (!nodes.incomplete).then_some(&node_names[..]);
+        let plan = filter::read_filter(file.table("filter"));
+        let band_limit = filter::read_band_limit(file.table("band-limit"), head.rate_hz);
+        let ingest = filter::read_ingest(file.table("ingest"), head.rate_hz);
+        let alert_rules = alert::read_alerts(&mut file, parameter_names);
+        let channel_list: Vec<_> = nodes.channels.iter().map(|read| &read.channel).collect();
+        let record = record::read_record(file.table("record"), channels.map(|_| &channel_list[..]));
+        let simulation = simulation::read_simulation(
+            file.table("simulation"),
+            &simulation::Context { parameters: parameter_names, nodes: node_names },
+        );
+        file.finish();
+        Some(Structure {
+            text: self.text.to_owned(),
+            name: head.name?,
+            description: head.description,
+            sampling_rate_hz: head.rate_hz?,
+            display_rate_hz: head.display_rate_hz,
+            system: system?.clone(),
+            parameters: parameters.into_iter().map(|read| read.parameter).collect(),
+            excitation_channels: excitations.iter().map(|read| read.excitation.channel()).collect(),
+            observation_channels: observation_channels(&nodes.channels),
+            excitations: excitations.into_iter().map(|read| read.excitation).collect(),
+            nodes: nodes.nodes,
+            noise_levels,
+            plan,
+            band_limit,
+            ingest: ingest?,
+            alert_rules,
+            record: record?,
+            simulation,
+        })
+    }
+}
+
+fn read_head(file: &mut Section<'_>) -> Head {
+    let mut head = Head { name: None, description: String::new(), rate_hz: None, display_rate_hz: DISPLAY_RATE_HZ };
+    let Some(mut section) = file.required_table("structure") else { return head };
+    head.name = section.required_name("name").map(Spanned::into_inner);
+    head.description = section.text("description").map(Spanned::into_inner).unwrap_or_default();
+    head.rate_hz = section.required_number("sampling-rate-hz", Allowed::POSITIVE).map(Spanned::into_inner);
+    head.display_rate_hz = section.number_or("display-rate-hz", Allowed::POSITIVE, DISPLAY_RATE_HZ);
+    section.finish();
+    head
+}
+
+/// Returns the frame channels that are responses, in frame order.
+fn observation_channels(channels: &[ChannelRead]) -> Vec<usize> {
+    let responses = channels.iter().enumerate().filter(|(_, read)| !read.channel.quantity.is_excitation());
+    responses.map(|(index, _)| index).collect()
+}
+
+/// Makes a noise level per excitation and per group of sensors; a channel without a group is one of its own.
+fn read_noise_levels(
+    file: &Section<'_>,
+    channels: &[ChannelRead],
+    excitations: &[excitation::ExcitationRead],
+) -> Vec<NoiseLevel> {
+    let mut names: Vec<Spanned<String>> = excitations.iter().map(|read| read.name.clone()).collect();
+    let of_excitation = |(index, read): (usize, &excitation::ExcitationRead)| NoiseLevel {
+        name: read.excitation.name.clone(),
+        std: read.excitation.unknown_std(),
+        adapted: read.excitation.adapts,
+        source: NoiseSource::Excitation(index),
+    };
+    let mut levels: Vec<NoiseLevel> = excitations.iter().enumerate().map(of_excitation).collect();
+    let responses = channels.iter().filter(|read| !read.channel.quantity.is_excitation());
+    for (row, read) in responses.enumerate() {
+        let group = read.noise_group.as_ref().map(|group| {
+            levels
+                .iter()
+                .position(|level| matches!(level.source, NoiseSource::Sensors(_)) && level.name == *group.get_ref())
+        });
+        match group.flatten().map(|index| &mut levels[index]) {
+            Some(level) => {
+                if let NoiseSource::Sensors(rows) = &mut level.source {
+                    rows.push(row);
+                }
+                check_group(file, read, level);
+            }
+            None => {
+                let name = read.noise_group.as_ref().unwrap_or(&read.name);
+                names.push(name.clone());
+                levels.push(NoiseLevel {
+                    name: name.get_ref().clone(),
+                    std: read.channel.noise_std,
+                    adapted: read.adapts_noise,
+                    source: NoiseSource::Sensors(vec![row]),
+                });
+            }
+        }
+    }
+    check_unique(file, "noise", &names);
+    levels
+}
+
+/// Channels of a group share one variance, so they must agree on it.
+fn check_group(file: &Section<'_>, read: &ChannelRead, level: &NoiseLevel) {
+    let (same_std, same_choice) = (read.channel.noise_std == level.std, read.adapts_noise == level.adapted);
+    if !(same_std && same_choice) {
+        let found = format!("differs from the others of noise group \"{}\"", level.name);
+        let key = if same_std { "node.channel.adapt-noise" } else { "node.channel.noise-std" };
+        file.diagnostics().report(read.name.span(), key, found, "must be the same within a group");
+    }
+}
+
+/// Reports every name that occurs twice.
+fn check_unique(section: &Section<'_>, key: &str, names: &[Spanned<String>]) {
+    for (index, name) in names.iter().enumerate() {
+        if names[..index].iter().any(|earlier| earlier.get_ref() == name.get_ref()) {
+            let found = format!("is \"{}\" once more", name.get_ref());
+            section.diagnostics().report(name.span(), key, found, "must be unique");
+        }
+    }
+}
+
+/// Finds a name among `known`; reports it if it is not there.
+fn find_name<'k>(
+    section: &Section<'_>,
+    key: &str,
+    name: &Spanned<String>,
+    known: impl Iterator<Item = &'k str> + Clone,
+) -> Option<usize> {
+    let found = known.clone().position(|known| known == name.get_ref());
+    if found.is_none() {
+        let hint = one_of(name.get_ref(), known);
+        section.diagnostics().report(name.span(), section.key(key), format!("is \"{}\"", name.get_ref()), hint);
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,94 @@
+//! Reads `[damping]`.
+
+use super::matrices::{Named, read_symmetric};
+use super::model::LARGEST_MODEL;
+use crate::linear_system::{Damping, LinearSystem, dense};
+use crate::matrix_file::{self, Unusable};
+use crate::modes::Modes;
+use crate::section::{Allowed, Section};
+use toml::Spanned;
+
+#[derive(Clone, Copy)]
+enum DampingKind {
+    Rayleigh,
+    Matrix,
+}
+
+const DAMPING_KINDS: [(&str, DampingKind); 2] = [("rayleigh", DampingKind::Rayleigh), ("matrix", DampingKind::Matrix)];
+
+/// Reads `[damping]`; a ratio is turned into `α` and `β` with the modes of `system` as designed.
+pub(super) fn read_damping(mut section: Section<'_>, system: Option<&LinearSystem>) -> Option<Damping> {
+    let kind = section.required_choice("kind", &DAMPING_KINDS)?;
+    let damping = match kind.into_inner() {
+        DampingKind::Rayleigh => read_rayleigh(&mut section, system),
+        DampingKind::Matrix => read_damping_matrix(&mut section, system),
+    };
+    section.finish();
+    damping
+}
+
+fn read_rayleigh(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Damping> {
+    let alpha = section.number("alpha-per-s", Allowed::NOT_NEGATIVE);
+    let beta = section.number("beta-s", Allowed::NOT_NEGATIVE);
+    let ratio = section.number("ratio", Allowed::INSIDE_UNIT);
+    let coefficients = section.contains("alpha-per-s") || section.contains("beta-s");
+    if section.contains("ratio") == coefficients {
+        let found = if coefficients { "is given beside alpha-per-s or beta-s" } else { "is missing" };
+        let allowed = "must give either ratio, or alpha-per-s and beta-s";
+        section.diagnostics().report(section.span(), section.key("ratio"), found, allowed);
+    }
+    if coefficients {
+        let [alpha_per_s, beta_s] = [alpha, beta].map(|value| value.map_or(0.0, Spanned::into_inner));
+        return Some(Damping::Rayleigh { alpha_per_s, beta_s });
+    }
+    let len = system.map_or(LARGEST_MODEL, LinearSystem::len);
+    let modes = read_modes(section, len)?;
+    rayleigh_of_ratio(system?, ratio?.into_inner(), modes)
+}
+
+/// Reads the two modes (from 1) that have the damping ratio; the first two unless the file says otherwise.
+fn read_modes(section: &mut Section<'_>, len: usize) -> Option<[usize; 2]> {
+    let Some(modes) = section.numbers("modes", Allowed::POSITIVE) else {
+        return (!section.contains("modes")).then_some([1, 2.min(len)]);
+    };
+    let is_mode = |mode: f64| mode.fract() == 0.0 && mode >= 1.0 && mode <= len as f64;
+    match modes.get_ref()[..] {
+        [first, second] if first != second && is_mode(first) && is_mode(second) => {
+            Some([first as usize, second as usize])
+        }
+        _ => {
+            let found = format!("is {:?}", modes.get_ref());
+            let allowed = format!("must be two different whole numbers from 1 to {len}");
+            section.diagnostics().report(modes.span(), section.key("modes"), found, allowed);
+            None
+        }
+    }
+}
+
+/// Returns `α = 2ζ ω_i ω_j / (ω_i + ω_j)`, `β = 2ζ / (ω_i + ω_j)`, which give both modes (from 1) the ratio `ζ`.
+///
+/// For a single degree of freedom both modes are the same one, and each term takes half of the damping.
+fn rayleigh_of_ratio(system: &LinearSystem, ratio: f64, modes: [usize; 2]) -> Option<Damping> {
+    let solved = Modes::new(system.mass.to_dense(), system.nominal_stiffness())?;
+    let [first, second] = modes.map(|mode| solved.angular_frequencies.get(mode - 1).copied());
+    let (first, second) = (first?, second?);
+    let beta_s = 2.0 * ratio / (first + second);
+    Some(Damping::Rayleigh { alpha_per_s: beta_s * first * second, beta_s })
+}
+
+fn read_damping_matrix(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Damping> {
+    let file = section.text("file");
+    let file = section.require("file", "must name the Matrix Market file of the damping matrix", file)?;
+    let named: Named = read_symmetric(section, section.key("file"), &file)?;
+    let len = system?.len();
+    if named.matrix.nrows() != len {
+        let found = format!("has {} degrees of freedom", named.matrix.nrows());
+        section.diagnostics().report(named.span, named.key, found, format!("must have {len} as the model"));
+        return None;
+    }
+    if let Err(Unusable { found, allowed }) = matrix_file::check_semidefinite(&dense(&named.matrix)) {
+        section.diagnostics().report(named.span, named.key, found, allowed);
+        return None;
+    }
+    Some(Damping::Matrix(named.matrix))
+}

@@ -1,0 +1,172 @@
+//! Reads `[[excitation]]`.
+
+use super::matrices::beside;
+use super::node::{ChannelRead, degree_of_freedom};
+use super::{check_unique, find_name};
+use crate::excitation::{Action, Excitation, Measured};
+use crate::linear_system::LinearSystem;
+use crate::matrix_file::{self, Unusable};
+use crate::node::Quantity;
+use crate::section::{Allowed, Section};
+use toml::Spanned;
+
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Ground,
+    Force,
+}
+
+const KINDS: [(&str, Kind); 2] = [("ground", Kind::Ground), ("force", Kind::Force)];
+
+/// What the excitations refer to.
+pub(super) struct Context<'c> {
+    /// The structure's rate (Hz), which a spectral intensity needs.
+    pub(super) rate_hz: Option<f64>,
+    pub(super) system: Option<&'c LinearSystem>,
+    /// `None` when some channel could not be read: then names are not looked up.
+    pub(super) channels: Option<&'c [ChannelRead]>,
+}
+
+/// An excitation, and its name where the file has it.
+pub(super) struct ExcitationRead {
+    pub(super) excitation: Excitation,
+    pub(super) name: Spanned<String>,
+}
+
+/// Reads every `[[excitation]]`.
+pub(super) fn read_excitations(file: &mut Section<'_>, context: &Context<'_>) -> Vec<ExcitationRead> {
+    let sections = file.tables("excitation");
+    if sections.is_empty() {
+        file.require("excitation", "must declare what shakes the structure: [[excitation]]", None::<()>);
+    }
+    let declared = sections.len();
+    let read: Vec<_> = sections.into_iter().filter_map(|section| read_excitation(section, context)).collect();
+    let names: Vec<_> = read.iter().map(|read| read.name.clone()).collect();
+    check_unique(file, "excitation.name", &names);
+    if let Some(channels) = context.channels.filter(|_| read.len() == declared) {
+        check_each_channel_is_used_once(file, channels, &read);
+    }
+    read
+}
+
+fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<ExcitationRead> {
+    let name = section.required_name("name");
+    let kind = section.required_choice("kind", &KINDS);
+    let std = read_std(&mut section, context.rate_hz);
+    let adapts = section.flag_or("adapt", false);
+    let measured_on = section.name("measured-on");
+    let kind = kind.map(Spanned::into_inner);
+    let action = match kind {
+        Some(Kind::Ground) => read_influence(&mut section, context.system),
+        Some(Kind::Force) => {
+            let dof = section.number_or_name("dof");
+            let dof = section.require("dof", "must be the number or the name of a degree of freedom", dof);
+            dof.and_then(|dof| degree_of_freedom(&section, "dof", &dof, context.system))
+                .map(|degree_of_freedom| Action::Force { degree_of_freedom })
+        }
+        None => {
+            section.leave_unread(&["dof", "influence"]);
+            None
+        }
+    };
+    let measured = measured_on.and_then(|channel| read_measured(&section, kind, &channel, context.channels?));
+    section.finish();
+    let name = name?;
+    let excitation = Excitation { name: name.get_ref().clone(), action: action?, std: std?, measured, adapts };
+    Some(ExcitationRead { excitation, name })
+}
+
+/// Reads the level of one sample, given as such or as the intensity `S₀` of a white process: `σ² = 2π S₀ / Δt`.
+fn read_std(section: &mut Section<'_>, rate_hz: Option<f64>) -> Option<f64> {
+    let std = section.number("std", Allowed::POSITIVE);
+    let intensity = section.number("spectral-intensity", Allowed::POSITIVE);
+    if section.contains("std") == section.contains("spectral-intensity") {
+        let found = if section.contains("std") { "is given beside spectral-intensity" } else { "is missing" };
+        let allowed =
+            "must give either std (of one sample, m/s2 or N) or spectral-intensity (its square times s per rad)";
+        section.diagnostics().report(section.span(), section.key("std"), found, allowed);
+        return None;
+    }
+    let of_intensity =
+        |intensity: Spanned<f64>| Some((2.0 * std::f64::consts::PI * intensity.into_inner() * rate_hz?).sqrt());
+    std.map(Spanned::into_inner).or_else(|| intensity.and_then(of_intensity))
+}
+
+/// Reads the influence vector `ι` of a ground motion: a list, a file, or all ones.
+fn read_influence(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Action> {
+    let key = "influence";
+    let (span, influence) = if section.is_text(key) {
+        let file = section.text(key)?;
+        match matrix_file::read(&beside(section, file.get_ref())) {
+            Ok(matrix) if matrix.ncols() == 1 => {
+                (file.span(), crate::linear_system::dense(&matrix).as_slice().to_vec())
+            }
+            Ok(matrix) => {
+                let found = format!("is {} × {}", matrix.nrows(), matrix.ncols());
+                section.diagnostics().report(file.span(), section.key(key), found, "must have one column");
+                return None;
+            }
+            Err(Unusable { found, allowed }) => {
+                section.diagnostics().report(file.span(), section.key(key), found, allowed);
+                return None;
+            }
+        }
+    } else {
+        let Some(numbers) = section.numbers(key, Allowed::ANY) else {
+            return Some(Action::Ground { influence: vec![1.0; system?.len()] });
+        };
+        (numbers.span(), numbers.into_inner())
+    };
+    let len = system?.len();
+    if influence.len() != len || influence.iter().all(|entry| *entry == 0.0) {
+        let found = format!("has {} entries", influence.len());
+        let allowed = format!("must have {len}, one per degree of freedom, not all zero");
+        section.diagnostics().report(span, section.key(key), found, allowed);
+        return None;
+    }
+    Some(Action::Ground { influence })
+}
+
+fn read_measured(
+    section: &Section<'_>,
+    kind: Option<Kind>,
+    channel: &Spanned<String>,
+    channels: &[ChannelRead],
+) -> Option<Measured> {
+    let names = channels.iter().map(|read| read.channel.name.as_str());
+    let index = find_name(section, "measured-on", channel, names)?;
+    let measuring = &channels[index].channel;
+    let expected = match kind? {
+        Kind::Ground => Quantity::GroundAcceleration,
+        Kind::Force => Quantity::Force,
+    };
+    if measuring.quantity != expected {
+        let found = format!("is \"{}\", a channel of {}", channel.get_ref(), measuring.quantity);
+        let allowed = format!("must be a channel of {expected}");
+        section.diagnostics().report(channel.span(), section.key("measured-on"), found, allowed);
+        return None;
+    }
+    Some(Measured { channel: index, noise_std: measuring.noise_std })
+}
+
+/// A channel that measures an excitation must belong to one, and to one only.
+fn check_each_channel_is_used_once(file: &Section<'_>, channels: &[ChannelRead], read: &[ExcitationRead]) {
+    for (index, channel) in channels.iter().enumerate().filter(|(_, read)| read.channel.quantity.is_excitation()) {
+        let uses: Vec<_> = read.iter().filter(|read| read.excitation.channel() == Some(index)).collect();
+        match uses[..] {
+            [_] => {}
+            [] => file.diagnostics().report(
+                channel.name.span(),
+                "node.channel.name",
+                format!("is \"{}\", which measures {} for nothing", channel.channel.name, channel.channel.quantity),
+                "must be named by measured-on of an [[excitation]]",
+            ),
+            [first, second, ..] => file.diagnostics().report(
+                second.name.span(),
+                "excitation.measured-on",
+                format!("is \"{}\", which already measures {}", channel.channel.name, first.excitation.name),
+                "must be a channel of its own",
+            ),
+        }
+    }
+}

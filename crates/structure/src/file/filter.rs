@@ -1,0 +1,83 @@
+//! Reads `[filter]`, `[band-limit]` and `[ingest]`: settings with a default each.
+
+use crate::filter_plan::{Annealing, FilterPlan};
+use crate::section::{Allowed, Section};
+use crate::settings::{BandLimit, IngestSettings};
+use spandrel_filter::{InputHold, NoiseRule};
+
+const NOISE_RULES: [(&str, NoiseRule); 3] =
+    [("fisher", NoiseRule::Fisher), ("published", NoiseRule::Published), ("fixed", NoiseRule::Fixed)];
+
+const INPUT_HOLDS: [(&str, InputHold); 2] = [("zero-order", InputHold::Zero), ("first-order", InputHold::First)];
+
+/// Reads `[filter]`; a missing table is one without keys.
+pub(super) fn read_filter(section: Option<Section<'_>>) -> FilterPlan {
+    let mut plan = FilterPlan::default();
+    let Some(mut section) = section else { return plan };
+    plan.half_life_s = section.number_or("half-life-s", Allowed::POSITIVE, plan.half_life_s);
+    if let Some(rule) = section.choice("noise-rule", &NOISE_RULES) {
+        plan.noise_rule = rule.into_inner();
+    }
+    // one memory for both unless the file has two, as in the source
+    plan.noise_half_life_s = section.number_or("noise-half-life-s", Allowed::POSITIVE, plan.half_life_s);
+    plan.noise_prior_std = section.number_or("noise-prior-std", Allowed::POSITIVE, plan.noise_prior_std);
+    plan.annealing = Annealing {
+        amount: section.number_or("annealing-amount", Allowed::NOT_NEGATIVE, plan.annealing.amount),
+        time_s: section.number_or("annealing-time-s", Allowed::POSITIVE, plan.annealing.time_s),
+    };
+    plan.variance_bound = section.number_or("variance-bound", Allowed::POSITIVE, plan.variance_bound);
+    if let Some(hold) = section.choice("input-hold", &INPUT_HOLDS) {
+        plan.input_hold = hold.into_inner();
+    }
+    plan.displacement_std_m = section.number_or("displacement-std-m", Allowed::POSITIVE, plan.displacement_std_m);
+    plan.velocity_std_m_per_s = section.number_or("velocity-std-m-per-s", Allowed::POSITIVE, plan.velocity_std_m_per_s);
+    section.finish();
+    plan
+}
+
+/// Orders of the band limit: pairs of poles, and more of them delay and ring without filtering better.
+const ORDERS: [usize; 4] = [2, 4, 6, 8];
+
+/// Reads `[band-limit]`, if there is one.
+pub(super) fn read_band_limit(section: Option<Section<'_>>, rate_hz: Option<f64>) -> Option<BandLimit> {
+    let mut section = section?;
+    let frequency = section.required_number("frequency-hz", Allowed::POSITIVE);
+    let order = read_order(&mut section);
+    if let (Some(frequency), Some(rate_hz)) = (&frequency, rate_hz)
+        && *frequency.get_ref() >= rate_hz / 2.0
+    {
+        let found = format!("is {}", frequency.get_ref());
+        let allowed = format!("must be below half the sampling rate, {}", rate_hz / 2.0);
+        section.diagnostics().report(frequency.span(), section.key("frequency-hz"), found, allowed);
+    }
+    section.finish();
+    Some(BandLimit { frequency_hz: frequency?.into_inner(), order })
+}
+
+fn read_order(section: &mut Section<'_>) -> usize {
+    let [lowest, .., highest] = ORDERS;
+    let Some(order) = section.whole("order", lowest, highest) else { return BandLimit::ORDER };
+    if !ORDERS.contains(order.get_ref()) {
+        let found = format!("is {}", order.get_ref());
+        section.diagnostics().report(order.span(), section.key("order"), found, "must be 2, 4, 6 or 8");
+    }
+    order.into_inner()
+}
+
+/// Reads `[ingest]`; `rate_hz` is the structure's.
+pub(super) fn read_ingest(section: Option<Section<'_>>, rate_hz: Option<f64>) -> Option<IngestSettings> {
+    let half_step_s = 0.5 / rate_hz?;
+    let mut settings = IngestSettings { lateness_s: IngestSettings::LATENESS_S, tolerance_s: half_step_s };
+    let Some(mut section) = section else { return Some(settings) };
+    settings.lateness_s = section.number_or("lateness-s", Allowed::NOT_NEGATIVE, settings.lateness_s);
+    if let Some(tolerance) = section.number("tolerance-s", Allowed::POSITIVE) {
+        settings.tolerance_s = *tolerance.get_ref();
+        if settings.tolerance_s > half_step_s {
+            let found = format!("is {}", tolerance.get_ref());
+            let allowed = format!("must be at most half a time step, {half_step_s}");
+            section.diagnostics().report(tolerance.span(), section.key("tolerance-s"), found, allowed);
+        }
+    }
+    section.finish();
+    Some(settings)
+}

@@ -1,0 +1,67 @@
+//! Reads `[simulation]`.
+
+use super::find_name;
+use crate::section::{Allowed, Section};
+use crate::simulation_plan::{Damage, Modulation, SimulationPlan};
+use toml::Spanned;
+
+/// Largest seed that a TOML integer holds.
+const LARGEST_SEED: usize = i64::MAX as usize;
+
+/// What a simulation refers to; `None` where some could not be read.
+pub(super) struct Context<'c> {
+    pub(super) parameters: Option<&'c [&'c str]>,
+    pub(super) nodes: Option<&'c [&'c str]>,
+}
+
+/// Reads `[simulation]`; without it nothing happens to the structure.
+pub(super) fn read_simulation(section: Option<Section<'_>>, context: &Context<'_>) -> SimulationPlan {
+    let node_count = context.nodes.map_or(0, <[&str]>::len);
+    let mut plan = SimulationPlan::uneventful(node_count);
+    let Some(mut section) = section else { return plan };
+    plan.seed = section.whole("seed", 0, LARGEST_SEED).map_or(0, |seed| seed.into_inner() as u64);
+    plan.modulation = section.table("modulation").and_then(read_modulation);
+    for damage in section.tables("damage") {
+        let span = damage.span();
+        if let Some(damage) = read_damage(damage, context) {
+            plan.damage.push(damage);
+            let same = plan.damage.iter().filter(|other| other.parameter == damage.parameter);
+            let lost: f64 = same.map(|other| other.loss).sum();
+            if lost >= 1.0 {
+                let found = format!("adds up to {lost} for this parameter");
+                section.diagnostics().report(span, section.key("damage.loss"), found, "must stay below 1 in all");
+            }
+        }
+    }
+    plan.dropped_share = section.number_or("dropped-share", Allowed::SHARE, 0.0);
+    plan.spikes.share = section.number_or("spike-share", Allowed::SHARE, 0.0);
+    plan.spikes.height = section.number_or("spike-height", Allowed::POSITIVE, SimulationPlan::SPIKE_HEIGHT);
+    for (node, value) in section.entries("clock-offsets-s") {
+        let offset = section.entry_number("clock-offsets-s", &node, value, Allowed::ANY);
+        let index =
+            context.nodes.and_then(|nodes| find_name(&section, "clock-offsets-s", &node, nodes.iter().copied()));
+        if let (Some(index), Some(offset)) = (index, offset) {
+            plan.clock_offsets_s[index] = offset;
+        }
+    }
+    section.finish();
+    plan
+}
+
+fn read_modulation(mut section: Section<'_>) -> Option<Modulation> {
+    let start_s = section.required_number("start-s", Allowed::NOT_NEGATIVE);
+    let rise_s = section.required_number("rise-s", Allowed::POSITIVE);
+    section.finish();
+    Some(Modulation { start_s: start_s?.into_inner(), rise_s: rise_s?.into_inner() })
+}
+
+fn read_damage(mut section: Section<'_>, context: &Context<'_>) -> Option<Damage> {
+    let parameter = section.required_name("parameter");
+    let at_s = section.required_number("at-s", Allowed::NOT_NEGATIVE);
+    let loss = section.required_number("loss", Allowed::INSIDE_UNIT);
+    let over_s = section.number("over-s", Allowed::NOT_NEGATIVE).map_or(0.0, Spanned::into_inner);
+    let parameter =
+        parameter.and_then(|name| find_name(&section, "parameter", &name, context.parameters?.iter().copied()));
+    section.finish();
+    Some(Damage { parameter: parameter?, at_s: at_s?.into_inner(), over_s, loss: loss?.into_inner() })
+}

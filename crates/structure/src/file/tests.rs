@@ -1,0 +1,489 @@
+//! Files that must be read, and mistakes that must be found with line, key and text.
+
+use crate::{Diagnostic, Reference, Structure, StructureError};
+use std::path::Path;
+
+const DEMO: &str = include_str!("../../../../docs/examples/demo.toml");
+
+fn examples() -> &'static Path {
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/examples"))
+}
+
+/// Reads a text as if it lay beside the examples.
+fn read(text: &str) -> Result<Structure, StructureError> {
+    Structure::parse(text, &examples().join("tower.toml"))
+}
+
+/// Reads `DEMO` with one piece replaced (every time it occurs) and returns its mistakes as `key: found, allowed`.
+#[track_caller]
+fn mistakes_after(replaced: &str, by: &str) -> Vec<String> {
+    assert!(DEMO.contains(replaced), "the example has no {replaced:?}");
+    mistakes(&DEMO.replacen(replaced, by, 1))
+}
+
+#[track_caller]
+fn mistakes(text: &str) -> Vec<String> {
+    let error = read(text).expect_err("the file should be refused");
+    error.diagnostics().iter().map(|d| format!("{}: {}, {}", d.key(), d.found(), d.allowed())).collect()
+}
+
+/// The line (from 1) on which `piece` first stands.
+#[track_caller]
+fn line_of(text: &str, piece: &str) -> usize {
+    text.lines().position(|line| line.contains(piece)).expect("the piece should be there") + 1
+}
+
+#[test]
+fn every_example_is_read() {
+    for name in ["demo", "output-only", "matrices", "noisy"] {
+        let path = examples().join(name).with_extension("toml");
+        if let Err(error) = Structure::read(&path) {
+            panic!("{error}");
+        }
+    }
+}
+
+#[test]
+fn the_demo_says_what_its_file_says() {
+    let demo = read(DEMO).unwrap();
+    assert_eq!((demo.name(), demo.sampling_rate_hz(), demo.display_rate_hz()), ("demo", 100.0, 10.0));
+    let nodes: Vec<&str> = demo.nodes().iter().map(crate::Node::name).collect();
+    assert_eq!(nodes, ["ground", "floor-1", "floor-2", "floor-3", "floor-4", "floor-5"]);
+    assert_eq!(demo.channel_count(), 6);
+    assert_eq!(demo.excitation_channels(), [Some(0)]);
+    assert_eq!(demo.observation_channels(), [1, 2, 3, 4, 5]);
+    let parameters: Vec<_> = demo.parameters().iter().map(|p| (p.name(), p.mean(), p.std())).collect();
+    assert_eq!(parameters[1], ("storey-2", 1.0, 0.2));
+    let levels: Vec<_> = demo.noise_levels().iter().map(|l| (l.name(), l.std(), l.is_adapted())).collect();
+    assert_eq!(levels, [("ground", 0.005, false), ("floors", 0.005, true)]);
+    let [rule] = demo.alert_rules() else { panic!("one rule") };
+    assert_eq!(rule.parameters, [0, 1, 2, 3, 4]);
+    assert_eq!((rule.loss, rule.credibility, rule.sustain_s), (0.05, 0.99, 5.0));
+    assert_eq!(rule.reference, Reference::Design);
+    assert_eq!(demo.text(), DEMO);
+}
+
+#[test]
+fn a_record_map_turns_units_into_si() {
+    let noisy = Structure::read(&examples().join("noisy.toml")).unwrap();
+    let columns: Vec<_> = noisy.record().columns().iter().map(|c| (c.column(), c.factor())).collect();
+    assert_eq!(columns[0], ("base", 9.80665));
+    assert_eq!(columns[1], ("floor-1", 1.0));
+    assert_eq!(columns[5], ("roof", -0.01));
+}
+
+#[test]
+fn filter_settings_are_in_steps_and_variances() {
+    let settings = read(DEMO).unwrap().filter_settings().unwrap();
+    // half-life 10 s at 100 Hz: λ = 2^(2/1000)
+    assert!((settings.fading.value() - 2f64.powf(0.002)).abs() < 1e-15);
+    assert_eq!(settings.prior_std.as_slice()[0], 1e-5);
+    assert_eq!(settings.prior_std.as_slice()[5], 1e-4);
+    assert_eq!(settings.prior_std.as_slice()[10..], [0.2; 5]);
+    assert_eq!(settings.noise.excitation[(0, 0)], 0.005 * 0.005);
+    assert_eq!(settings.noise.sensors.norm(), 0.0, "adapted, so not known");
+    assert_eq!(settings.noise.parameters.len(), 1);
+    assert_eq!(settings.noise.parameters[0].pattern, nalgebra::DMatrix::identity(5, 5));
+    // ten periods of 1 s; the frequency is solved for, so one step may be lost to rounding
+    assert!((999..=1000).contains(&settings.noise_settings.training_steps));
+}
+
+#[test]
+fn a_message_has_file_line_key_what_was_found_and_what_is_allowed() {
+    let text = DEMO.replace("loss = 0.05", "loss = 1.5");
+    let line = line_of(&text, "loss = 1.5");
+    let path = examples().join("tower.toml");
+    let expected =
+        format!("{}:{line}: alert.loss: is 1.5, must be a finite number above 0 and below 1", path.display());
+    assert_eq!(read(&text).unwrap_err().to_string(), expected);
+}
+
+#[test]
+fn all_mistakes_are_reported_at_once_in_the_order_of_the_file() {
+    let text = DEMO
+        .replace("sampling-rate-hz = 100", "sampling-rate-hz = -100")
+        .replace("mass-kg = 20_000", "mass-kg = nan")
+        .replacen("of = [\"storey-3\"]", "of = [\"storey-33\"]", 1)
+        .replacen("unit = \"m/s2\"", "unit = \"g\"", 1)
+        .replace("half-life-s = 10", "half-live-s = 10")
+        .replace("at-s = 60", "at-s = \"a minute\"");
+    let error = read(&text).unwrap_err();
+    let keys: Vec<&str> = error.diagnostics().iter().map(Diagnostic::key).collect();
+    // the substructures are not known while the model has a mistake, so storey-33 has to wait
+    let expected = [
+        "structure.sampling-rate-hz",
+        "model.mass-kg",
+        "node.channel.unit",
+        "filter.half-live-s",
+        "simulation.damage.at-s",
+    ];
+    assert_eq!(keys, expected);
+    let lines: Vec<usize> = error.diagnostics().iter().map(Diagnostic::line).collect();
+    assert_eq!(lines[3], line_of(&text, "half-live-s"));
+    assert!(lines.is_sorted());
+}
+
+#[test]
+fn an_unknown_key_brings_a_suggestion() {
+    assert_eq!(
+        mistakes_after("half-life-s = 10", "half-live-s = 10"),
+        ["filter.half-live-s: is not a known key, did you mean \"half-life-s\"?"]
+    );
+    assert_eq!(mistakes_after("[filter]", "[filters]"), ["filters: is not a known key, did you mean \"filter\"?"]);
+}
+
+#[test]
+fn a_unit_other_than_si_is_refused() {
+    assert_eq!(
+        mistakes_after("unit = \"m/s2\"", "unit = \"g\""),
+        ["node.channel.unit: is \"g\", must be \"m/s2\", the SI unit of ground-acceleration"]
+    );
+}
+
+#[test]
+fn numbers_out_of_range_or_not_finite_are_refused() {
+    assert_eq!(
+        mistakes_after("mass-kg = 20_000", "mass-kg = -20_000"),
+        ["model.mass-kg: is -20000, must be a finite number above 0"]
+    );
+    assert_eq!(
+        mistakes_after("ratio = 0.02", "ratio = nan"),
+        ["damping.ratio: is nan, must be a finite number above 0 and below 1"]
+    );
+    assert_eq!(
+        mistakes_after("noise-std = 0.005", "noise-std = inf"),
+        ["node.channel.noise-std: is inf, must be a finite number above 0"]
+    );
+}
+
+#[test]
+fn a_value_of_the_wrong_type_is_refused() {
+    assert_eq!(
+        mistakes_after("sampling-rate-hz = 100", "sampling-rate-hz = \"fast\""),
+        ["structure.sampling-rate-hz: is \"fast\", must be a finite number above 0"]
+    );
+    assert_eq!(
+        mistakes_after("storeys = 5", "storeys = 5.5"),
+        ["model.storeys: is 5.5, must be a whole number from 1 to 5000"]
+    );
+    assert_eq!(
+        mistakes_after("adapt-noise = true", "adapt-noise = 1")[0],
+        "node.channel.adapt-noise: is 1, must be true or false"
+    );
+    assert_eq!(
+        mistakes_after("of = [\"storey-1\"]", "of = \"storey-1\""),
+        ["parameter.of: is \"storey-1\", must be a list of names"]
+    );
+}
+
+#[test]
+fn missing_keys_are_reported_at_their_table() {
+    let text = DEMO.replacen("scales = \"stiffness\"\n", "", 1).replace("loss = 0.05\n", "");
+    let error = read(&text).unwrap_err();
+    let found: Vec<_> = error.diagnostics().iter().map(|d| (d.key(), d.found(), d.line())).collect();
+    let expected = [
+        ("parameter.scales", "is missing", line_of(&text, "[[parameter]]")),
+        ("alert.loss", "is missing", line_of(&text, "[[alert]]")),
+    ];
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn missing_tables_are_reported() {
+    let keys: Vec<String> = mistakes("").into_iter().map(|m| m.split(':').next().unwrap().to_owned()).collect();
+    assert_eq!(keys, ["structure", "model", "damping", "node", "excitation", "parameter"]);
+}
+
+#[test]
+fn a_parameter_that_scales_nothing_known_is_refused() {
+    assert_eq!(
+        mistakes_after("of = [\"storey-3\"]", "of = [\"storey-33\"]"),
+        ["parameter.of: is \"storey-33\", did you mean \"storey-3\"?"]
+    );
+    assert_eq!(
+        mistakes_after("of = [\"storey-3\"]", "of = []"),
+        ["parameter.of: scales nothing, must list the substructures whose stiffness is scaled"]
+    );
+}
+
+#[test]
+fn a_parameter_without_effect_is_refused() {
+    let text = DEMO
+        .replace("ratio = 0.02\nmodes = [1, 2]", "alpha-per-s = 0.1")
+        .replace("[[excitation]]", "[[parameter]]\nname = \"beta\"\nscales = \"damping-beta\"\n\n[[excitation]]");
+    assert_eq!(
+        mistakes(&text),
+        [
+            "parameter.scales: has no effect: there is no beta, must scale a damping coefficient of [damping] that is not zero"
+        ]
+    );
+}
+
+#[test]
+fn what_is_scaled_twice_is_refused() {
+    assert_eq!(
+        mistakes_after("of = [\"storey-2\"]", "of = [\"storey-1\", \"storey-2\"]"),
+        ["parameter.of: scales storey-1 as parameter \"storey-1\" does, must scale what no other parameter scales"]
+    );
+}
+
+#[test]
+fn names_that_occur_twice_are_refused() {
+    assert_eq!(
+        mistakes_after("name = \"storey-2\"", "name = \"storey-1\"")[0],
+        "parameter.name: is \"storey-1\" once more, must be unique"
+    );
+    assert_eq!(
+        mistakes_after("[[node]]\nname = \"floor-2\"", "[[node]]\nname = \"floor-1\""),
+        ["node.name: is \"floor-1\" once more, must be unique"]
+    );
+    assert_eq!(
+        mistakes_after("[[node.channel]]\nname = \"floor-2\"", "[[node.channel]]\nname = \"floor-1\""),
+        ["node.channel.name: is \"floor-1\" once more, must be unique"]
+    );
+}
+
+#[test]
+fn a_name_that_is_no_key_chunk_is_refused() {
+    assert_eq!(
+        mistakes_after("name = \"demo\"", "name = \"Demo/Tower\""),
+        ["structure.name: is \"Demo/Tower\", must be a name of lower-case letters, digits and hyphens"]
+    );
+}
+
+#[test]
+fn a_ground_channel_that_nothing_uses_is_refused() {
+    assert_eq!(
+        mistakes_after("measured-on = \"ground\"\n", ""),
+        ["node.channel.name: is \"ground\", which measures ground-acceleration for nothing, must be named by \
+          measured-on of an [[excitation]]"]
+    );
+    assert_eq!(
+        mistakes_after("measured-on = \"ground\"\n", "measured-on = \"floor-1\"\n")[0],
+        "excitation.measured-on: is \"floor-1\", a channel of absolute-acceleration, must be a channel of \
+         ground-acceleration"
+    );
+}
+
+#[test]
+fn a_group_of_sensors_must_agree_on_its_noise() {
+    let second = DEMO.find("name = \"floor-2\"\nquantity").unwrap();
+    let (head, tail) = DEMO.split_at(second);
+    let text = head.to_owned() + &tail.replacen("noise-std = 0.005", "noise-std = 0.01", 1);
+    assert_eq!(
+        mistakes(&text),
+        ["node.channel.noise-std: differs from the others of noise group \"floors\", must be the same within a group"]
+    );
+}
+
+#[test]
+fn an_unknown_degree_of_freedom_is_refused() {
+    assert_eq!(
+        mistakes_after("dof = \"floor-5\"", "dof = \"flor-5\""),
+        ["node.channel.dof: is \"flor-5\", did you mean \"floor-5\"?"]
+    );
+    assert_eq!(mistakes_after("dof = \"floor-5\"", "dof = 6"), ["node.channel.dof: is 6, must be from 1 to 5"]);
+}
+
+#[test]
+fn a_band_limit_above_half_the_rate_is_refused() {
+    let text = DEMO.replace("[filter]", "[band-limit]\nfrequency-hz = 60\n\n[filter]");
+    assert_eq!(mistakes(&text), ["band-limit.frequency-hz: is 60, must be below half the sampling rate, 50"]);
+}
+
+#[test]
+fn a_node_slower_than_the_structure_must_divide_its_rate() {
+    let node = "[[node]]\nname = \"floor-1\"";
+    let with_rate = |rate: &str| format!("{node}\nsampling-rate-hz = {rate}");
+    assert!(read(&DEMO.replacen(node, &with_rate("50"), 1)).is_ok());
+    assert_eq!(
+        mistakes_after(node, &with_rate("40")),
+        ["node.sampling-rate-hz: is 40, must be 100 (the structure's) or that divided by a whole number"]
+    );
+}
+
+#[test]
+fn damage_beyond_the_whole_stiffness_is_refused() {
+    let text = DEMO.to_owned() + "\n[[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 90\nloss = 0.9\n";
+    assert_eq!(
+        mistakes(&text),
+        ["simulation.damage.loss: adds up to 1.05 for this parameter, must stay below 1 in all"]
+    );
+}
+
+#[test]
+fn text_that_is_not_toml_is_refused_with_its_line() {
+    let error = read("[structure]\nname = \"a\"\nname = \"b\"\nrate = \n").unwrap_err();
+    let lines: Vec<usize> = error.diagnostics().iter().map(Diagnostic::line).collect();
+    assert_eq!(lines, [3, 4]);
+    assert_eq!(error.diagnostics()[0].key(), "syntax");
+}
+
+#[test]
+fn a_missing_file_is_not_a_mistake_of_the_file() {
+    let error = Structure::read(Path::new("/nowhere/tower.toml")).unwrap_err();
+    assert!(matches!(error, StructureError::Unreadable { .. }));
+    assert_eq!(error.to_string(), "/nowhere/tower.toml: cannot be read");
+}
+
+proptest::proptest! {
+    #[test]
+    fn any_text_gives_a_structure_or_an_error(text in "\\PC*") {
+        let _ = read(&text);
+    }
+
+    #[test]
+    fn any_line_may_be_lost(line in 0usize..150) {
+        let text: Vec<&str> = DEMO.lines().enumerate().filter(|(n, _)| *n != line).map(|(_, l)| l).collect();
+        let _ = read(&text.join("\n"));
+    }
+}
+
+mod matrices {
+    use super::*;
+    use std::fs;
+
+    const MASS: &str = "%%MatrixMarket matrix coordinate real general\n2 2 2\n1 1 1\n2 2 1\n";
+    const LOWER: &str = "%%MatrixMarket matrix coordinate real general\n2 2 1\n1 1 100\n";
+    const UPPER: &str = "%%MatrixMarket matrix coordinate real general\n2 2 4\n1 1 80\n1 2 -80\n2 1 -80\n2 2 80\n";
+
+    const FILE: &str = r#"
+[structure]
+name = "two"
+sampling-rate-hz = 100
+
+[model]
+kind = "matrices"
+mass = "m.mtx"
+substructures = { lower = "lower.mtx", upper = "upper.mtx" }
+
+[damping]
+kind = "rayleigh"
+ratio = 0.02
+
+[[parameter]]
+name = "lower"
+scales = "stiffness"
+of = ["lower"]
+
+[[excitation]]
+name = "wind"
+kind = "force"
+dof = 2
+spectral-intensity = 5e-5
+
+[[node]]
+name = "top"
+
+[[node.channel]]
+name = "top"
+quantity = "displacement"
+dof = 2
+unit = "m"
+noise-std = 1e-4
+"#;
+
+    /// Reads `FILE` beside the given matrices.
+    fn read_with(text: &str, mass: &str, lower: &str, upper: &str) -> Result<Structure, StructureError> {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, content) in [("m.mtx", mass), ("lower.mtx", lower), ("upper.mtx", upper)] {
+            fs::write(folder.path().join(name), content).unwrap();
+        }
+        Structure::parse(text, &folder.path().join("two.toml"))
+    }
+
+    #[track_caller]
+    fn single_mistake(result: Result<Structure, StructureError>) -> (usize, String, String, String) {
+        let error = result.expect_err("should be refused");
+        let [d] = error.diagnostics() else { panic!("{error}") };
+        // the folder differs from run to run
+        let found = d.found().rsplit('/').next().unwrap().to_owned();
+        (d.line(), d.key().to_owned(), found, d.allowed().to_owned())
+    }
+
+    #[test]
+    fn matrices_are_read_beside_the_file() {
+        let structure = read_with(FILE, MASS, LOWER, UPPER).unwrap();
+        assert_eq!(structure.system.degrees_of_freedom, ["1", "2"]);
+        // σ² = 2π S₀/Δt, chapter 3, A1
+        assert!((structure.excitations()[0].std().powi(2) - std::f64::consts::TAU * 5e-5 * 100.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn line_breaks_of_windows_are_read() {
+        let crlf = |text: &str| text.replace('\n', "\r\n");
+        assert!(read_with(&crlf(FILE), &crlf(MASS), &crlf(LOWER), &crlf(UPPER)).is_ok());
+    }
+
+    #[test]
+    fn a_negative_mass_is_refused() {
+        let mistake = single_mistake(read_with(FILE, &MASS.replace("2 2 1\n", "2 2 -1\n"), LOWER, UPPER));
+        let found = "has the mass -1 kg at degree of freedom 2".to_owned();
+        assert_eq!(mistake, (8, "model.mass".to_owned(), found, "must be positive definite".to_owned()));
+    }
+
+    #[test]
+    fn an_indefinite_stiffness_is_refused() {
+        let mistake = single_mistake(read_with(FILE, MASS, &LOWER.replace("100", "-100"), UPPER));
+        let (line, key, found, allowed) = mistake;
+        assert_eq!((line, key.as_str()), (9, "model.substructures.lower"));
+        assert_eq!(
+            (found.as_str(), allowed.as_str()),
+            ("has the negative eigenvalue -1.000000e2", "must be positive semidefinite")
+        );
+    }
+
+    #[test]
+    fn an_asymmetric_stiffness_is_refused() {
+        let (_, key, found, allowed) =
+            single_mistake(read_with(FILE, MASS, LOWER, &UPPER.replace("1 2 -80", "1 2 -70")));
+        assert_eq!(key, "model.substructures.upper");
+        assert_eq!(found, "upper.mtx has -70 at row 1, column 2 but -80 at row 2, column 1");
+        assert_eq!(allowed, "must be symmetric");
+    }
+
+    #[test]
+    fn a_structure_that_can_move_freely_is_refused() {
+        let (line, key, found, _) = single_mistake(read_with(FILE, MASS, LOWER, &UPPER.replace("80", "0")));
+        assert_eq!((line, key.as_str()), (6, "model.substructures"));
+        assert_eq!(found, "leave degree of freedom 2 free to move");
+    }
+
+    #[test]
+    fn a_matrix_of_another_size_is_refused() {
+        let larger = "%%MatrixMarket matrix coordinate real general\n3 3 1\n1 1 100\n";
+        let (_, key, found, allowed) = single_mistake(read_with(FILE, MASS, larger, UPPER));
+        assert_eq!(key, "model.substructures.lower");
+        assert_eq!((found.as_str(), allowed.as_str()), ("has 3 degrees of freedom", "must have 2 as the mass matrix"));
+    }
+
+    #[test]
+    fn a_matrix_file_that_is_missing_or_broken_is_refused() {
+        let text = FILE.replace("m.mtx", "n.mtx");
+        let (line, key, found, _) = single_mistake(read_with(&text, MASS, LOWER, UPPER));
+        assert_eq!((line, key.as_str()), (8, "model.mass"));
+        assert!(found.starts_with("n.mtx cannot be read"), "{found}");
+        let (_, key, found, _) = single_mistake(read_with(FILE, MASS, "1 2 3", UPPER));
+        assert_eq!(key, "model.substructures.lower");
+        assert!(found.starts_with("lower.mtx is not readable"), "{found}");
+    }
+
+    #[test]
+    fn a_mass_parameter_needs_a_diagonal_mass() {
+        let mass = "%%MatrixMarket matrix coordinate real symmetric\n2 2 3\n1 1 1\n2 1 0.1\n2 2 1\n";
+        let text = FILE.replace("scales = \"stiffness\"\nof = [\"lower\"]", "scales = \"mass\"\nof = [\"1\"]");
+        assert!(read_with(&text, MASS, LOWER, UPPER).is_ok());
+        let (_, key, _, allowed) = single_mistake(read_with(&text, mass, LOWER, UPPER));
+        assert_eq!(key, "parameter.scales");
+        assert_eq!(allowed, "must not scale masses unless the mass matrix is diagonal");
+    }
+
+    #[test]
+    fn an_influence_vector_of_the_wrong_length_is_refused() {
+        let text = FILE.replace("kind = \"force\"\ndof = 2", "kind = \"ground\"\ninfluence = [1]");
+        let (_, key, found, allowed) = single_mistake(read_with(&text, MASS, LOWER, UPPER));
+        assert_eq!(key, "excitation.influence");
+        assert_eq!(found, "has 1 entries");
+        assert_eq!(allowed, "must have 2, one per degree of freedom, not all zero");
+    }
+}

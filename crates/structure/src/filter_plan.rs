@@ -1,0 +1,52 @@
+//! The filter that the owner asks for, in seconds and ratios; [`Structure::filter_settings`](crate::Structure::filter_settings)
+//! turns it into steps and covariances.
+
+use spandrel_filter::{InputHold, NoiseRule};
+
+/// The `[filter]` table of a structure file.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct FilterPlan {
+    /// Half-life of a sample's weight (s), Huang & Yuen (2023), (2.71).
+    pub(crate) half_life_s: f64,
+    pub(crate) noise_rule: NoiseRule,
+    /// Half-life for the noise levels (s).
+    pub(crate) noise_half_life_s: f64,
+    /// Standard deviation of a noise level at the start, relative to it.
+    pub(crate) noise_prior_std: f64,
+    pub(crate) annealing: Annealing,
+    /// A parameter's variance is kept below this times its prior variance.
+    pub(crate) variance_bound: f64,
+    pub(crate) input_hold: InputHold,
+    /// Standard deviation of each displacement at the start (m).
+    pub(crate) displacement_std_m: f64,
+    /// Standard deviation of each velocity at the start (m/s).
+    pub(crate) velocity_std_m_per_s: f64,
+}
+
+/// Distrust of the sensors at the start: `Σ_n (1 + a e^{−t/τ})`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Annealing {
+    /// `a`, 0 for none.
+    pub(crate) amount: f64,
+    /// `τ` (s).
+    pub(crate) time_s: f64,
+}
+
+impl Default for FilterPlan {
+    fn default() -> Self {
+        Self {
+            half_life_s: 10.0,
+            noise_rule: NoiseRule::Fisher,
+            noise_half_life_s: 10.0,
+            // three standard deviations reach zero: Huang & Yuen (2023), §3.2
+            noise_prior_std: 1.0 / 3.0,
+            // start-up: spec of chapter 2, §3.6; tolerates parameters that are 30 % off
+            annealing: Annealing { amount: 100.0, time_s: 2.0 },
+            variance_bound: 1.0,
+            input_hold: InputHold::Zero,
+            // at rest: wide priors make the first updates leave the linear range of the filter
+            displacement_std_m: 1e-5,
+            velocity_std_m_per_s: 1e-4,
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! Turns the wishes of the structure file into the settings of the filter.
+
+use crate::noise_level::NoiseSource;
+use crate::structure::Structure;
+use nalgebra::{DMatrix, DVector};
+use spandrel_filter::{
+    Annealing, FadingFactor, FilterError, FilterSettings, NoiseModel, NoiseParameter, NoiseRule, NoiseSettings,
+    NoiseTarget,
+};
+use std::f64::consts::PI;
+
+/// Periods of the fundamental mode before the training of the noise levels may end: Huang & Yuen (2023), (3.31).
+const TRAINING_PERIODS: f64 = 10.0;
+
+impl Structure {
+    /// Returns the settings of the filter for [`Structure::model`].
+    ///
+    /// # Errors
+    /// When a half-life is so short that it has no fading factor.
+    pub fn filter_settings(&self) -> Result<FilterSettings, FilterError> {
+        let (plan, free) = (&self.plan, self.system.len());
+        let of_parameters =
+            |value: &dyn Fn(&crate::Parameter) -> f64| -> Vec<f64> { self.parameters.iter().map(value).collect() };
+        let state = |physical: [f64; 2], parameters: Vec<f64>| {
+            let [x, v] = physical.map(|value| std::iter::repeat_n(value, free));
+            DVector::from_iterator(2 * free + parameters.len(), x.chain(v).chain(parameters))
+        };
+        let fading = |half_life_s: f64| FadingFactor::from_half_life(half_life_s * self.sampling_rate_hz);
+        let mean = state([0.0, 0.0], of_parameters(&|p| p.mean()));
+        let std = state([plan.displacement_std_m, plan.velocity_std_m_per_s], of_parameters(&|p| p.std()));
+        let mut settings = FilterSettings::new(self.step_s(), mean, std, self.noise_model());
+        settings.fading = fading(plan.half_life_s)?;
+        settings.variance_bound = state([f64::INFINITY; 2], of_parameters(&|p| plan.variance_bound * p.std().powi(2)));
+        settings.lower = state([f64::NEG_INFINITY; 2], of_parameters(&|p| p.bounds().0));
+        settings.upper = state([f64::INFINITY; 2], of_parameters(&|p| p.bounds().1));
+        settings.noise_settings = NoiseSettings {
+            rule: plan.noise_rule,
+            fading: fading(plan.noise_half_life_s)?.value(),
+            training_steps: self.training_steps(),
+            ..NoiseSettings::default()
+        };
+        settings.annealing = (plan.annealing.amount > 0.0)
+            .then_some(Annealing { amount: plan.annealing.amount, time_constant_s: plan.annealing.time_s });
+        settings.input_hold = plan.input_hold;
+        Ok(settings)
+    }
+
+    /// Returns `INT(10 T/Δt)`, (3.31), with the fundamental period `T` as designed.
+    fn training_steps(&self) -> u64 {
+        let first = self.nominal_modes().and_then(|modes| modes.angular_frequencies.first().copied());
+        first.map_or(0, |omega| (TRAINING_PERIODS * 2.0 * PI / omega * self.sampling_rate_hz) as u64)
+    }
+
+    /// Splits the noise levels into what is known and what is adapted.
+    fn noise_model(&self) -> NoiseModel {
+        let (inputs, rows) = (self.excitations.len(), self.observation_channels.len());
+        let mut model = NoiseModel::known(DMatrix::zeros(inputs, inputs), DMatrix::zeros(rows, rows));
+        for level in &self.noise_levels {
+            let variance = level.std.powi(2);
+            let (target, size, entries) = match &level.source {
+                NoiseSource::Excitation(input) => (NoiseTarget::Excitation, inputs, std::slice::from_ref(input)),
+                NoiseSource::Sensors(rows_of_group) => (NoiseTarget::Sensors, rows, &rows_of_group[..]),
+            };
+            let mut pattern = DMatrix::zeros(size, size);
+            for entry in entries {
+                pattern[(*entry, *entry)] = 1.0;
+            }
+            if level.adapted && self.plan.noise_rule != NoiseRule::Fixed {
+                model.parameters.push(NoiseParameter {
+                    name: level.name.clone(),
+                    target,
+                    pattern,
+                    start: variance,
+                    start_std: self.plan.noise_prior_std * variance,
+                });
+            } else {
+                match target {
+                    NoiseTarget::Excitation => model.excitation += pattern * variance,
+                    NoiseTarget::Sensors => model.sensors += pattern * variance,
+                }
+            }
+        }
+        model
+    }
+}

@@ -1,0 +1,200 @@
+//! How much the sensors of a structure tell of its parameters and noise levels, before any of them is bought.
+//!
+//! The innovations `ν` of a Kalman filter are independent and normal with covariance `S`, so that the data of `N` frames
+//! hold the Fisher information `I = Σ ∂νᵀ S⁻¹ ∂ν + N/2 tr(S⁻¹ ∂S S⁻¹ ∂S)` on whatever the filter depends on. The
+//! derivatives are central differences between filters that run on the same simulated data.
+//!
+//! The extended filter does not use all of it. It differentiates the innovations with its gain held, `ψ = ∂ν|_K`, counts
+//! the information `J_θ = Σ ψᵀ S⁻¹ ψ`, and an error `δ` of parameters and levels pulls its parameters by `ψᵀ S⁻¹ ∂ν δ`
+//! (Ljung 1979, *IEEE Trans. Automatic Control* 24, 36). A noise level sees its own part `U` of `S` only: it counts
+//! `J_ψ = N/2 tr(S⁻¹ U S⁻¹ U)` and is pulled by `N/2 tr(S⁻¹ U S⁻¹ ∂S) δ`. Where the pull is much less than what is
+//! counted, the filter is sure of what it has not learnt.
+
+use crate::linear_form::LinearForm;
+use crate::noise_level::NoiseSource;
+use crate::steady_filter::{NoiseVariances, SteadyFilter};
+use crate::structure::Structure;
+use nalgebra::{DMatrix, DVector};
+
+/// Half the distance of two filters, in a parameter or in the logarithm of a variance. A thousandth shifts a resonance
+/// by far less than its width.
+const DIFFERENCE: f64 = 1e-3;
+
+/// Per frame, on the parameters (ratios to nominal) and then the logarithms of all noise variances.
+#[derive(Debug, Clone)]
+pub(crate) struct Information {
+    /// `I`, what the data hold.
+    pub(crate) held: DMatrix<f64>,
+    /// `J`, what the extended filter counts: parameters and levels apart.
+    pub(crate) counted: DMatrix<f64>,
+    /// How an error (column) pulls the estimates (rows).
+    pub(crate) pull: DMatrix<f64>,
+}
+
+/// What the filters are compared in.
+#[derive(Debug, Clone, Copy)]
+enum Unknown {
+    Parameter(usize),
+    Level(usize),
+}
+
+/// Two filters with one unknown moved up and down.
+type Pair = [SteadyFilter; 2];
+
+impl Information {
+    /// Simulates `frames` frames of the undamaged structure at its prior means and sums up their information.
+    ///
+    /// `None` if the structure has no stationary filter.
+    pub(crate) fn expected(structure: &Structure, frames: u64, seed: u64) -> Option<Self> {
+        let parameters = (0..structure.parameters.len()).map(Unknown::Parameter);
+        let levels = (0..structure.noise_levels.len()).map(Unknown::Level);
+        let unknowns: Vec<Unknown> = parameters.clone().chain(levels).collect();
+        let nominal = Moved::new(structure, None);
+        let filter = nominal.filter()?;
+        let pair = |unknown| {
+            let [up, down] = [DIFFERENCE, -DIFFERENCE].map(|by| Moved::new(structure, Some((unknown, by))).filter());
+            Some([up?, down?])
+        };
+        let held_pair = |unknown| {
+            [DIFFERENCE, -DIFFERENCE]
+                .map(|by| Moved::new(structure, Some((unknown, by))).filter_with_update_of(&filter))
+        };
+        let mut pairs: Vec<Pair> = unknowns.into_iter().map(pair).collect::<Option<_>>()?;
+        let mut held_pairs: Vec<Pair> = parameters.map(held_pair).collect();
+        let lower = filter.innovation_covariance.clone().cholesky()?.l();
+        let whole: Vec<DMatrix<f64>> = pairs.iter().map(|pair| whitened(covariance_difference(pair), &lower)).collect();
+        let own: Vec<DMatrix<f64>> = nominal.level_patterns(structure).map(|u| whitened(u, &lower)).collect();
+        let traces = |a: &[DMatrix<f64>], b: &[DMatrix<f64>]| {
+            DMatrix::from_fn(a.len(), b.len(), |i, j| 0.5 * a[i].dot(&b[j])) // ½ tr(S⁻¹ A S⁻¹ B)
+        };
+        let (theta, all) = (held_pairs.len(), pairs.len());
+        let means = Means::simulated(structure, &mut pairs, &mut held_pairs, &lower, frames, seed);
+        let mut counted = DMatrix::zeros(all, all);
+        counted.view_mut((0, 0), (theta, theta)).copy_from(&means.counted);
+        counted.view_mut((theta, theta), (all - theta, all - theta)).copy_from(&traces(&own, &own));
+        let mut pull = DMatrix::zeros(all, all);
+        pull.rows_mut(0, theta).copy_from(&means.pull);
+        pull.rows_mut(theta, all - theta).copy_from(&traces(&own, &whole));
+        Some(Self { held: means.held + traces(&whole, &whole), counted, pull })
+    }
+}
+
+/// The structure with one unknown moved.
+struct Moved {
+    form: LinearForm,
+    recursion: crate::linear_form::Recursion,
+    noise: NoiseVariances,
+}
+
+impl Moved {
+    fn new(structure: &Structure, moved: Option<(Unknown, f64)>) -> Self {
+        let mut theta: Vec<f64> = structure.parameters.iter().map(crate::Parameter::mean).collect();
+        let mut variances: Vec<f64> = structure.noise_levels.iter().map(|level| level.std().powi(2)).collect();
+        match moved {
+            Some((Unknown::Parameter(parameter), by)) => theta[parameter] += by,
+            Some((Unknown::Level(level), by)) => variances[level] *= by.exp(),
+            None => {}
+        }
+        let mut noise = NoiseVariances {
+            excitation: DVector::zeros(structure.excitations.len()),
+            sensors: DVector::zeros(structure.observation_channels.len()),
+        };
+        for (level, variance) in structure.noise_levels.iter().zip(variances) {
+            match level.source() {
+                NoiseSource::Excitation(input) => noise.excitation[*input] = variance,
+                NoiseSource::Sensors(rows) => rows.iter().for_each(|row| noise.sensors[*row] = variance),
+            }
+        }
+        let form = LinearForm::new(&mut structure.model(), &theta);
+        let recursion = form.recursion(structure.step_s(), structure.plan.input_hold);
+        Self { form, recursion, noise }
+    }
+
+    fn filter(&self) -> Option<SteadyFilter> {
+        SteadyFilter::new(&self.form, self.recursion.clone(), &self.noise)
+    }
+
+    fn filter_with_update_of(&self, filter: &SteadyFilter) -> SteadyFilter {
+        filter.with_frozen_update(&self.form, self.recursion.clone())
+    }
+
+    /// Returns `U` of each level: what its variance adds to `S` within one step.
+    fn level_patterns<'m>(&'m self, structure: &'m Structure) -> impl Iterator<Item = DMatrix<f64>> + 'm {
+        let one_step = &self.form.observation * &self.recursion.input; // H B
+        structure.noise_levels.iter().map(move |level| match level.source() {
+            NoiseSource::Excitation(input) => {
+                let (hb, d) = (one_step.column(*input), self.form.direct.column(*input));
+                (hb * hb.transpose() + d * d.transpose()) * self.noise.excitation[*input]
+            }
+            NoiseSource::Sensors(rows) => {
+                let variance = |row| if rows.contains(&row) { self.noise.sensors[row] } else { 0.0 };
+                DMatrix::from_diagonal(&DVector::from_fn(self.noise.sensors.len(), |row, _| variance(row)))
+            }
+        })
+    }
+}
+
+fn covariance_difference(pair: &Pair) -> DMatrix<f64> {
+    (&pair[0].innovation_covariance - &pair[1].innovation_covariance) / (2.0 * DIFFERENCE)
+}
+
+/// Returns `L⁻¹ X L⁻ᵀ` for a symmetric `X`, with `S = L Lᵀ`.
+fn whitened(mut x: DMatrix<f64>, lower: &DMatrix<f64>) -> DMatrix<f64> {
+    lower.solve_lower_triangular_mut(&mut x);
+    x.transpose_mut();
+    lower.solve_lower_triangular_mut(&mut x);
+    x
+}
+
+/// Averages over simulated frames of products of derivatives of `ν`.
+struct Means {
+    /// `∂νᵀ S⁻¹ ∂ν` (all × all).
+    held: DMatrix<f64>,
+    /// `ψᵀ S⁻¹ ψ` (N_θ × N_θ).
+    counted: DMatrix<f64>,
+    /// `ψᵀ S⁻¹ ∂ν` (N_θ × all).
+    pull: DMatrix<f64>,
+}
+
+impl Means {
+    fn simulated(
+        structure: &Structure,
+        pairs: &mut [Pair],
+        held_pairs: &mut [Pair],
+        lower: &DMatrix<f64>,
+        frames: u64,
+        seed: u64,
+    ) -> Self {
+        let (rows, all, theta) = (lower.nrows(), pairs.len(), held_pairs.len());
+        let mut simulator = structure.undamaged_simulator(seed);
+        let split = |values: &[f64]| {
+            let z = structure.observation_channels.iter().map(|channel| values[*channel]);
+            let known =
+                structure.excitation_channels.iter().map(|channel| channel.map_or(0.0, |channel| values[channel]));
+            (DVector::from_iterator(z.len(), z), DVector::from_iterator(structure.excitations.len(), known))
+        };
+        let mut derivatives = DMatrix::zeros(rows, all + theta);
+        let mut products = DMatrix::zeros(all + theta, all + theta);
+        let (mut z, mut known) = split(&simulator.advance_frame().values);
+        for _ in 0..frames {
+            let (next_z, next_known) = split(&simulator.advance_frame().values);
+            let every_pair = pairs.iter_mut().chain(held_pairs.iter_mut());
+            for (pair, mut column) in every_pair.zip(derivatives.column_iter_mut()) {
+                for filter in pair.iter_mut() {
+                    filter.step(&z, &known, &next_known);
+                }
+                column.copy_from(&pair[0].innovation);
+                column -= &pair[1].innovation;
+            }
+            lower.solve_lower_triangular_mut(&mut derivatives);
+            products.gemm_tr(1.0, &derivatives, &derivatives, 1.0);
+            (z, known) = (next_z, next_known);
+        }
+        products /= frames as f64 * (2.0 * DIFFERENCE).powi(2);
+        Self {
+            held: products.view((0, 0), (all, all)).into_owned(),
+            counted: products.view((all, all), (theta, theta)).into_owned(),
+            pull: products.view((all, 0), (theta, all)).into_owned(),
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! The matrices of a structure whose parameters are known, and their exact recursion from frame to frame.
+//!
+//! `u̇ = A_u u + B_u f`, `z = H u + D f` with `u = [x, ẋ]`: Huang & Yuen (2023), (2.3) to (2.9).
+
+use crate::model::StructureModel;
+use nalgebra::DMatrix;
+use spandrel_filter::{InputHold, ObservationModel, ProcessModel};
+
+/// A structure with known parameters in continuous time.
+#[derive(Debug, Clone)]
+pub(crate) struct LinearForm {
+    /// `A_u` (2 N_d × 2 N_d).
+    pub(crate) system: DMatrix<f64>,
+    /// `B_u` (2 N_d × N_f).
+    pub(crate) input: DMatrix<f64>,
+    /// `H` (N_0 × 2 N_d).
+    pub(crate) observation: DMatrix<f64>,
+    /// `D` (N_0 × N_f).
+    pub(crate) direct: DMatrix<f64>,
+}
+
+/// `u_{i+1} = A u_i + B f_i + B₁ (f_{i+1} − f_i)`; exact for an excitation held, or running straight, over a step.
+#[derive(Debug, Clone)]
+pub(crate) struct Recursion {
+    /// `A` (2 N_d × 2 N_d), (2.8).
+    pub(crate) transition: DMatrix<f64>,
+    /// `B` (2 N_d × N_f), (2.9).
+    pub(crate) input: DMatrix<f64>,
+    /// `B₁` (2 N_d × N_f); zero if the excitation is held.
+    pub(crate) slope: DMatrix<f64>,
+}
+
+impl LinearForm {
+    /// Takes the matrices from `model` at given parameters (ratios to nominal).
+    pub(crate) fn new(model: &mut StructureModel, theta: &[f64]) -> Self {
+        let (len, inputs) = (model.state_len(), model.excitation_len());
+        let physical = len - model.parameter_len();
+        let mut state = vec![0.0; len];
+        state[physical..].copy_from_slice(theta);
+        let at_rest = vec![0.0; inputs];
+        model.linearise_process(&state, &at_rest);
+        model.linearise_observation(&state, &at_rest);
+        let columns = DMatrix::identity(len, physical);
+        let mut system = DMatrix::zeros(len, physical);
+        model.jacobian_mul(&columns, &mut system);
+        let mut input = DMatrix::zeros(len, inputs);
+        model.excitation_matrix(&mut input);
+        let mut observation = DMatrix::zeros(model.observation_len(), physical);
+        model.observation_jacobian_mul(&columns, &mut observation);
+        let direct = model.feedthrough().cloned();
+        Self {
+            system: system.rows(0, physical).into_owned(),
+            input: input.rows(0, physical).into_owned(),
+            direct: direct.unwrap_or_else(|| DMatrix::zeros(observation.nrows(), inputs)),
+            observation,
+        }
+    }
+
+    /// Makes the recursion for a step of `step_s` (s), read off one exponential of an augmented matrix.
+    pub(crate) fn recursion(&self, step_s: f64, hold: InputHold) -> Recursion {
+        let (n, inputs) = (self.input.nrows(), self.input.ncols());
+        let with_slope = match hold {
+            InputHold::Zero => 0,
+            InputHold::First => inputs,
+        };
+        let mut augmented = DMatrix::zeros(n + inputs + with_slope, n + inputs + with_slope);
+        augmented.view_mut((0, 0), (n, n)).copy_from(&(&self.system * step_s));
+        augmented.view_mut((0, n), (n, inputs)).copy_from(&(&self.input * step_s));
+        for input in 0..with_slope {
+            augmented[(n + input, n + inputs + input)] = 1.0; // f = f_i + (t/Δt)(f_{i+1} − f_i)
+        }
+        let exponential = augmented.exp();
+        let block = |column, width| exponential.view((0, column), (n, width)).into_owned();
+        let slope = match hold {
+            InputHold::Zero => DMatrix::zeros(n, inputs),
+            InputHold::First => block(n + inputs, inputs),
+        };
+        Recursion { transition: block(0, n), input: block(n, inputs), slope }
+    }
+}

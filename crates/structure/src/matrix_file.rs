@@ -1,0 +1,98 @@
+//! Reads matrices of a finite element program (Matrix Market) and checks what a structure needs of them.
+
+use nalgebra::{DMatrix, SymmetricEigen};
+use nalgebra_sparse::io::load_coo_from_matrix_market_str;
+use nalgebra_sparse::{CooMatrix, CsrMatrix};
+use std::path::Path;
+
+/// Entries mirrored at the diagonal may differ by this, relative to the largest entry: files hold rounded decimals.
+const SYMMETRY_TOLERANCE: f64 = 1e-8;
+
+/// An eigenvalue counts as zero below this share of the largest one: rounding of the file and of the solver.
+const ZERO_EIGENVALUE: f64 = 1e-9;
+
+/// A matrix that cannot be used: what was found, what is allowed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Unusable {
+    pub(crate) found: String,
+    pub(crate) allowed: String,
+}
+
+impl Unusable {
+    pub(crate) fn new(found: impl Into<String>, allowed: impl Into<String>) -> Self {
+        Self { found: found.into(), allowed: allowed.into() }
+    }
+}
+
+/// Reads a matrix of any shape; duplicate entries add up.
+pub(crate) fn read(path: &Path) -> Result<CsrMatrix<f64>, Unusable> {
+    let allowed = "must be a Matrix Market file beside the structure file";
+    let shown = path.display();
+    let text = std::fs::read_to_string(path)
+        .map_err(|error| Unusable::new(format!("{shown} cannot be read ({error})"), allowed))?;
+    // the reader refuses a last line without a line break and lines ending in CR LF
+    let text = text.replace("\r\n", "\n");
+    let entries: CooMatrix<f64> = load_coo_from_matrix_market_str(text.trim_end()).map_err(|error| {
+        let message = error.message().lines().collect::<Vec<_>>().join(" ");
+        Unusable::new(format!("{shown} is not readable ({message})"), allowed)
+    })?;
+    let matrix = CsrMatrix::from(&entries);
+    match matrix.triplet_iter().find(|(_, _, value)| !value.is_finite()) {
+        Some((row, column, value)) => Err(Unusable::new(
+            format!("{shown} has {value} at row {}, column {}", row + 1, column + 1),
+            "must hold finite numbers",
+        )),
+        None => Ok(matrix),
+    }
+}
+
+/// Reads a symmetric matrix; small differences from symmetry are averaged out.
+pub(crate) fn read_symmetric(path: &Path) -> Result<CsrMatrix<f64>, Unusable> {
+    let matrix = read(path)?;
+    let shown = path.display();
+    if matrix.nrows() != matrix.ncols() {
+        let found = format!("{shown} is {} × {}", matrix.nrows(), matrix.ncols());
+        return Err(Unusable::new(found, "must be square"));
+    }
+    let largest = matrix.values().iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
+    let transposed = matrix.transpose();
+    let difference = &matrix - &transposed;
+    for (row, column, value) in difference.triplet_iter() {
+        if value.abs() > SYMMETRY_TOLERANCE * largest {
+            let entry = |row, column| matrix.get_entry(row, column).map_or(0.0, |entry| entry.into_value());
+            let found = format!(
+                "{shown} has {} at row {}, column {} but {} at row {}, column {}",
+                entry(row, column),
+                row + 1,
+                column + 1,
+                entry(column, row),
+                column + 1,
+                row + 1
+            );
+            return Err(Unusable::new(found, "must be symmetric"));
+        }
+    }
+    Ok((matrix + transposed) * 0.5)
+}
+
+/// Checks that a symmetric matrix has no negative eigenvalue.
+pub(crate) fn check_semidefinite(matrix: &DMatrix<f64>) -> Result<(), Unusable> {
+    let eigenvalues = matrix.symmetric_eigenvalues();
+    let largest = eigenvalues.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
+    let smallest = eigenvalues.min();
+    if smallest < -ZERO_EIGENVALUE * largest {
+        return Err(Unusable::new(
+            format!("has the negative eigenvalue {smallest:.6e}"),
+            "must be positive semidefinite",
+        ));
+    }
+    Ok(())
+}
+
+/// Finds the degree of freedom that moves most without resistance; `None` if the matrix is positive definite.
+pub(crate) fn free_degree_of_freedom(matrix: &DMatrix<f64>) -> Option<usize> {
+    let eigen = SymmetricEigen::new(matrix.clone());
+    let (smallest, value) = eigen.eigenvalues.argmin();
+    let largest = eigen.eigenvalues.amax();
+    (value <= ZERO_EIGENVALUE * largest).then(|| eigen.eigenvectors.column(smallest).iamax())
+}

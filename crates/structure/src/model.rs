@@ -1,0 +1,266 @@
+//! The structure as the filter sees it: both traits of `spandrel-filter` for a linear structure.
+//!
+//! Notation: Huang & Yuen (2023), §2.4. The state is `y = [x, ẋ, θ]`: displacements and velocities relative to the
+//! ground (m, m/s), and the parameters as ratios to nominal. `R(x, ẋ; θ) = C ẋ + K x`, with `C = α M + β K(θ)`: the part
+//! of the damping that is proportional to stiffness scales with it, `∂R/∂θ = K_θ (x + β ẋ)`. The Jacobian is applied as
+//! `A_y X = [V; −M⁻¹ K (X + β V) − α V + W Θ; 0]` to the parts `X`, `V`, `Θ` of given columns, with `W = −M⁻¹ ∂R/∂θ`
+//! (2.50). Units of accelerations are m/s².
+
+mod point;
+mod response;
+
+use crate::assembly::Assembly;
+use crate::excitation::Action;
+use crate::linear_system::{Damping, LinearSystem, Mass, dense};
+use crate::modes::Modes;
+use crate::parameter::{Parameter, Scales};
+use crate::structure::Structure;
+use nalgebra::{Cholesky, DMatrix, Dyn};
+use point::Point;
+use response::Response;
+use spandrel_filter::{ObservationModel, ProcessModel};
+use std::ops::Range;
+
+/// A linear structure with its sensors, to be linearised at one point for the process and one for the observation.
+#[derive(Debug, Clone)]
+pub struct StructureModel {
+    fixed: Fixed,
+    responses: Vec<Response>,
+    process: Point,
+    observation: Point,
+    feedthrough: DMatrix<f64>,
+    has_feedthrough: bool,
+}
+
+/// What does not depend on the state.
+#[derive(Debug, Clone)]
+pub(crate) struct Fixed {
+    assembly: Assembly,
+    /// Factor of a mass matrix that is not diagonal.
+    mass_factor: Option<Cholesky<f64, Dyn>>,
+    /// `1/m` (1/kg) as designed; ones beside a factor.
+    reciprocal_masses: Vec<f64>,
+    parameters: Vec<Parameter>,
+    /// Degrees of freedom whose acceleration each parameter can change, as a range: the rest of a column of `W` is zero.
+    reach: Vec<Range<usize>>,
+    /// `α` (1/s) and `β` (s) as designed; zero beside a damping matrix.
+    alpha_per_s: f64,
+    beta_s: f64,
+    /// `M⁻¹ T` (N_d × N_f) of the forces alone, as designed (1/kg).
+    forces: DMatrix<f64>,
+    /// `−ι` (N_d × N_f) of the ground motions alone.
+    grounds: DMatrix<f64>,
+    bounds: RateBounds,
+}
+
+/// Largest eigenvalues as designed, from which those of scaled matrices are bounded.
+#[derive(Debug, Clone)]
+struct RateBounds {
+    /// Of `M⁻¹ K` (1/s²).
+    stiffness: f64,
+    /// Of `M⁻¹ C` for a given `C` (1/s).
+    damping: f64,
+    /// Some substructure is scaled by no parameter.
+    has_fixed_stiffness: bool,
+}
+
+impl Structure {
+    /// Makes the model of the structure, linearised at the prior.
+    #[must_use]
+    pub fn model(&self) -> StructureModel {
+        StructureModel::new(self)
+    }
+}
+
+impl StructureModel {
+    fn new(structure: &Structure) -> Self {
+        let fixed = Fixed::new(structure);
+        let responses: Vec<Response> =
+            structure.observations().map(|channel| Response::new(channel, &fixed, &structure.system.mass)).collect();
+        let inputs = structure.excitations.len();
+        let point = Point::new(&fixed, inputs);
+        let feedthrough = DMatrix::zeros(responses.len(), inputs);
+        let mut model =
+            Self { process: point.clone(), observation: point, fixed, responses, feedthrough, has_feedthrough: false };
+        let mut state = vec![0.0; model.state_len()];
+        let free = 2 * model.fixed.assembly.len();
+        for (entry, parameter) in state[free..].iter_mut().zip(&structure.parameters) {
+            *entry = parameter.mean();
+        }
+        let at_rest = vec![0.0; inputs];
+        model.linearise_process(&state, &at_rest);
+        model.linearise_observation(&state, &at_rest);
+        model.has_feedthrough = model.feedthrough.iter().any(|entry| *entry != 0.0);
+        model
+    }
+}
+
+impl Fixed {
+    fn new(structure: &Structure) -> Self {
+        let system = &structure.system;
+        let len = system.len();
+        let (alpha_per_s, beta_s) = match &system.damping {
+            Damping::Rayleigh { alpha_per_s, beta_s } => (*alpha_per_s, *beta_s),
+            Damping::Matrix(_) => (0.0, 0.0),
+        };
+        let (mass_factor, reciprocal_masses) = match &system.mass {
+            Mass::Lumped(masses) => (None, masses.iter().map(|mass| 1.0 / mass).collect()),
+            Mass::Consistent { factor, .. } => (Some(factor.clone()), vec![1.0; len]),
+        };
+        let inputs = structure.excitations.len();
+        let mut forces = DMatrix::zeros(len, inputs);
+        let mut grounds = DMatrix::zeros(len, inputs);
+        for (input, excitation) in structure.excitations.iter().enumerate() {
+            match &excitation.action {
+                Action::Force { degree_of_freedom } => forces[(*degree_of_freedom, input)] = 1.0,
+                Action::Ground { influence } => {
+                    for (entry, influence) in grounds.column_mut(input).iter_mut().zip(influence) {
+                        *entry = -influence;
+                    }
+                }
+            }
+        }
+        let assembly = Assembly::new(system, &structure.parameters);
+        let reach = |(index, parameter): (usize, &Parameter)| match &parameter.scales {
+            Scales::Stiffness(_) if mass_factor.is_none() => assembly.scaled_rows(index),
+            Scales::Mass(dofs) => {
+                let first = dofs.iter().min().map_or(0, |first| *first);
+                first..dofs.iter().max().map_or(first, |last| last + 1)
+            }
+            // through a mass matrix that is not diagonal everything accelerates everything
+            Scales::Stiffness(_) | Scales::DampingAlpha | Scales::DampingBeta => 0..len,
+        };
+        Self {
+            reach: structure.parameters.iter().enumerate().map(reach).collect(),
+            assembly,
+            mass_factor,
+            reciprocal_masses,
+            parameters: structure.parameters.clone(),
+            alpha_per_s,
+            beta_s,
+            forces: system.mass.solve(forces),
+            grounds,
+            bounds: RateBounds::new(system, &structure.parameters),
+        }
+    }
+}
+
+impl RateBounds {
+    fn new(system: &LinearSystem, parameters: &[Parameter]) -> Self {
+        // ω² of a pencil whose mass is positive definite, checked when the file was read
+        let largest = |matrix| Modes::new(system.mass.to_dense(), matrix).map_or(0.0, |modes| modes.highest().powi(2));
+        let damping = match &system.damping {
+            Damping::Rayleigh { .. } => 0.0,
+            Damping::Matrix(matrix) => largest(dense(matrix)),
+        };
+        let scaled =
+            |part| parameters.iter().any(|p| matches!(&p.scales, Scales::Stiffness(parts) if parts.contains(&part)));
+        Self {
+            stiffness: largest(system.nominal_stiffness()),
+            damping,
+            has_fixed_stiffness: (0..system.substructures.len()).any(|part| !scaled(part)),
+        }
+    }
+}
+
+impl ProcessModel for StructureModel {
+    fn state_len(&self) -> usize {
+        2 * self.fixed.assembly.len() + self.fixed.parameters.len()
+    }
+
+    fn parameter_len(&self) -> usize {
+        self.fixed.parameters.len()
+    }
+
+    fn excitation_len(&self) -> usize {
+        self.fixed.forces.ncols()
+    }
+
+    fn linearise_process(&mut self, state: &[f64], excitation: &[f64]) {
+        self.process.linearise(&self.fixed, state, excitation);
+    }
+
+    fn derivative(&self, out: &mut [f64]) {
+        let free = self.fixed.assembly.len();
+        let (out_x, rest) = out.split_at_mut(free);
+        let (out_v, out_theta) = rest.split_at_mut(free);
+        out_x.copy_from_slice(&self.process.velocity);
+        out_v.copy_from_slice(&self.process.acceleration); // ẍ = −M⁻¹ R + M⁻¹ T f               (2.45)
+        out_theta.fill(0.0);
+    }
+
+    fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+        self.process.jacobian_mul(&self.fixed, columns, out);
+    }
+
+    fn excitation_matrix(&self, out: &mut DMatrix<f64>) {
+        let free = self.fixed.assembly.len();
+        out.fill(0.0);
+        for input in 0..self.excitation_len() {
+            for dof in 0..free {
+                out[(free + dof, input)] = self.process.mass_factors_inverse[dof] * self.fixed.forces[(dof, input)]
+                    + self.fixed.grounds[(dof, input)];
+            }
+        }
+    }
+
+    /// Every eigenvalue `s` of the pencil `s² + c s + k`, with `c ≤ c_max` and `k ≤ ω_max²` Rayleigh quotients of
+    /// `M⁻¹ C` and `M⁻¹ K`, has `|s| ≤ max(√k, c)`.
+    fn rate_bound(&self) -> f64 {
+        let RateBounds { stiffness, damping, has_fixed_stiffness } = &self.fixed.bounds;
+        let floor = if *has_fixed_stiffness { 1.0 } else { 0.0 };
+        let mut largest_stiffness = floor;
+        let mut smallest_mass = 1.0_f64;
+        for (parameter, theta) in self.fixed.parameters.iter().zip(&self.process.theta) {
+            match parameter.scales {
+                Scales::Stiffness(_) => largest_stiffness = theta.abs().max(largest_stiffness),
+                Scales::Mass(_) => smallest_mass = smallest_mass.min(theta.abs()),
+                Scales::DampingAlpha | Scales::DampingBeta => {}
+            }
+        }
+        let k = stiffness * largest_stiffness / smallest_mass;
+        let c = self.process.alpha_per_s.abs() + self.process.beta_s.abs() * k + damping / smallest_mass;
+        k.sqrt().max(c)
+    }
+}
+
+impl ObservationModel for StructureModel {
+    fn observation_len(&self) -> usize {
+        self.responses.len()
+    }
+
+    fn linearise_observation(&mut self, state: &[f64], excitation: &[f64]) {
+        self.observation.linearise(&self.fixed, state, excitation);
+        for (row, response) in self.responses.iter_mut().enumerate() {
+            response.linearise(&self.fixed, &self.observation);
+            for input in 0..self.feedthrough.ncols() {
+                self.feedthrough[(row, input)] = response.direct_effect(&self.fixed, &self.observation, input);
+            }
+        }
+    }
+
+    fn observe(&self, out: &mut [f64]) {
+        for (entry, response) in out.iter_mut().zip(&self.responses) {
+            *entry = response.value(&self.observation);
+        }
+    }
+
+    fn observation_jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+        let (len, free) = (self.state_len(), self.fixed.assembly.len());
+        let rows = self.responses.len();
+        for (column, out) in columns.as_slice().chunks_exact(len).zip(out.as_mut_slice().chunks_exact_mut(rows)) {
+            let (x, rest) = column.split_at(free);
+            let (v, theta) = rest.split_at(free);
+            for (entry, response) in out.iter_mut().zip(&self.responses) {
+                *entry = response.jacobian_dot(&self.fixed, &self.observation, x, v, theta);
+            }
+        }
+    }
+
+    fn feedthrough(&self) -> Option<&DMatrix<f64>> {
+        self.has_feedthrough.then_some(&self.feedthrough)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,157 @@
+//! What one channel senses of the state, and its row of the observation Jacobian.
+//!
+//! Accelerations follow Huang & Yuen (2023), §2.2: an absolute one is `−M⁻¹R + M⁻¹T f` of the forces alone, because the
+//! ground motion cancels; a relative one has `−ι f` as well; a restoring one is `−M⁻¹R`.
+
+use super::Fixed;
+use super::point::Point;
+use crate::linear_system::Mass;
+use crate::node::{Channel, Quantity};
+use nalgebra::DMatrix;
+
+/// One observation row.
+#[derive(Debug, Clone)]
+pub(super) enum Response {
+    /// A weighted sum of displacements (m, or 1 for a strain).
+    Displacement(Vec<(usize, f64)>),
+    /// The velocity of one degree of freedom (m/s).
+    Velocity(usize),
+    /// An acceleration of one degree of freedom (m/s²).
+    Acceleration(Acceleration),
+}
+
+/// The row of `−M⁻¹[K, C]` of one degree of freedom.
+#[derive(Debug, Clone)]
+pub(super) struct Acceleration {
+    dof: usize,
+    /// The direct effect of a force counts.
+    forces: bool,
+    /// The motion of the ground counts.
+    ground: bool,
+    /// `M⁻¹ e` of the degree of freedom (1/kg), where the mass is not diagonal.
+    by_mass: Option<Vec<f64>>,
+    /// Columns of the entries below.
+    columns: Vec<usize>,
+    /// `−M⁻¹ K` (1/s²).
+    stiffness: Vec<f64>,
+    /// `−M⁻¹ C` of a given `C` (1/s); empty otherwise.
+    damping: Vec<f64>,
+}
+
+impl Response {
+    pub(super) fn new(channel: &Channel, fixed: &Fixed, mass: &Mass) -> Self {
+        // a channel of one degree of freedom has exactly one; a measured excitation is no response
+        let dof = channel.sensed.first().map_or(0, |(dof, _)| *dof);
+        let acceleration = |forces, ground| Self::Acceleration(Acceleration::new(dof, forces, ground, fixed, mass));
+        match channel.quantity() {
+            Quantity::Displacement | Quantity::Strain => Self::Displacement(channel.sensed.clone()),
+            Quantity::Velocity => Self::Velocity(dof),
+            Quantity::AbsoluteAcceleration => acceleration(true, false),
+            Quantity::RelativeAcceleration => acceleration(true, true),
+            Quantity::RestoringAcceleration | Quantity::GroundAcceleration | Quantity::Force => {
+                acceleration(false, false)
+            }
+        }
+    }
+
+    /// Scales the row by the parameters of `point`.
+    pub(super) fn linearise(&mut self, fixed: &Fixed, point: &Point) {
+        if let Self::Acceleration(acceleration) = self {
+            acceleration.linearise(fixed, point);
+        }
+    }
+
+    /// Returns the predicted observation at the point.
+    pub(super) fn value(&self, point: &Point) -> f64 {
+        match self {
+            Self::Displacement(terms) => terms.iter().map(|(dof, factor)| factor * point.displacement[*dof]).sum(),
+            Self::Velocity(dof) => point.velocity[*dof],
+            Self::Acceleration(Acceleration { dof, forces, ground, .. }) => {
+                let forced = if *forces { point.forced[*dof] } else { 0.0 };
+                let ground = if *ground { point.ground[*dof] } else { 0.0 };
+                point.restoring[*dof] + forced + ground
+            }
+        }
+    }
+
+    /// Returns the row of the Jacobian times a column with the parts `x`, `v`, `theta`.
+    pub(super) fn jacobian_dot(&self, fixed: &Fixed, point: &Point, x: &[f64], v: &[f64], theta: &[f64]) -> f64 {
+        match self {
+            Self::Displacement(terms) => terms.iter().map(|(dof, factor)| factor * x[*dof]).sum(),
+            Self::Velocity(dof) => v[*dof],
+            Self::Acceleration(acceleration) => acceleration.jacobian_dot(fixed, point, x, v, theta),
+        }
+    }
+
+    /// Returns the entry of `D` for one component of the excitation.
+    pub(super) fn direct_effect(&self, fixed: &Fixed, point: &Point, input: usize) -> f64 {
+        match self {
+            Self::Displacement(_) | Self::Velocity(_) => 0.0,
+            Self::Acceleration(Acceleration { dof, forces, ground, .. }) => {
+                let force = fixed.forces[(*dof, input)] * point.mass_factors_inverse[*dof];
+                let forced = if *forces { force } else { 0.0 };
+                let ground = if *ground { fixed.grounds[(*dof, input)] } else { 0.0 };
+                forced + ground
+            }
+        }
+    }
+}
+
+impl Acceleration {
+    fn new(dof: usize, forces: bool, ground: bool, fixed: &Fixed, mass: &Mass) -> Self {
+        let free = fixed.assembly.len();
+        let (by_mass, columns): (_, Vec<usize>) = match mass {
+            Mass::Lumped(_) => (None, fixed.assembly.row(dof).1.to_vec()),
+            Mass::Consistent { .. } => {
+                let unit = DMatrix::from_fn(free, 1, |row, _| if row == dof { 1.0 } else { 0.0 });
+                (Some(mass.solve(unit).as_slice().to_vec()), (0..free).collect())
+            }
+        };
+        let entries = columns.len();
+        let damping = vec![0.0; if fixed.assembly.damping().is_some() { entries } else { 0 }];
+        Self { dof, forces, ground, by_mass, columns, stiffness: vec![0.0; entries], damping }
+    }
+
+    fn linearise(&mut self, fixed: &Fixed, point: &Point) {
+        let given = fixed.assembly.damping();
+        match &self.by_mass {
+            None => {
+                let by_mass = -fixed.reciprocal_masses[self.dof] * point.mass_factors_inverse[self.dof];
+                let (range, _) = fixed.assembly.row(self.dof);
+                for (entry, k) in self.stiffness.iter_mut().zip(&point.stiffness[range.clone()]) {
+                    *entry = by_mass * k;
+                }
+                for (entry, c) in self.damping.iter_mut().zip(given.unwrap_or_default().get(range).unwrap_or_default())
+                {
+                    *entry = by_mass * c;
+                }
+            }
+            Some(by_mass) => {
+                // row of M⁻¹K = K times the column of M⁻¹, both symmetric
+                fixed.assembly.mul_to(&point.stiffness, by_mass, &mut self.stiffness);
+                self.stiffness.iter_mut().for_each(|entry| *entry = -*entry);
+                if let Some(given) = given {
+                    fixed.assembly.mul_to(given, by_mass, &mut self.damping);
+                    self.damping.iter_mut().for_each(|entry| *entry = -*entry);
+                }
+            }
+        }
+    }
+
+    fn jacobian_dot(&self, fixed: &Fixed, point: &Point, x: &[f64], v: &[f64], theta: &[f64]) -> f64 {
+        let mut sum = -point.alpha_per_s * v[self.dof];
+        for (k, column) in self.stiffness.iter().zip(&self.columns) {
+            sum += k * (x[*column] + point.beta_s * v[*column]);
+        }
+        for (c, column) in self.damping.iter().zip(&self.columns) {
+            sum += c * v[*column];
+        }
+        let by_theta = if self.forces { &point.acceleration_by_theta } else { &point.restoring_by_theta };
+        for (index, theta) in theta.iter().enumerate() {
+            if fixed.reach[index].contains(&self.dof) {
+                sum += by_theta[(self.dof, index)] * theta;
+            }
+        }
+        sum
+    }
+}

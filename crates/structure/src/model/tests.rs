@@ -1,0 +1,424 @@
+//! The Jacobian against differences, published frequencies, and two ways to the same structure.
+
+use super::*;
+use crate::modes::Modes;
+use proptest::prelude::*;
+use std::f64::consts::PI;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// Relative agreement of an analytic derivative with a central difference: the difference loses half of the digits.
+const DERIVATIVE_TOLERANCE: f64 = 1e-6;
+
+fn parse(text: &str) -> Structure {
+    parse_at(text, Path::new("tower.toml"))
+}
+
+fn parse_at(text: &str, path: &Path) -> Structure {
+    Structure::parse(text, path).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// All kinds of channels; degrees of freedom by number, so that every model with at least three can have them.
+fn channels() -> String {
+    let mut text = String::from("[[node]]\nname = \"node\"\n");
+    let rows = [
+        ("absolute-acceleration", "dof = 1", "m/s2"),
+        ("relative-acceleration", "dof = 2", "m/s2"),
+        ("restoring-acceleration", "dof = 3", "m/s2"),
+        ("velocity", "dof = 1", "m/s"),
+        ("displacement", "dof = 3", "m"),
+        ("strain", "dofs = [1, 3]\ncoefficients = [-0.5, 0.25]", "1"),
+    ];
+    for (quantity, place, unit) in rows {
+        let channel = "[[node.channel]]";
+        writeln!(
+            text,
+            "{channel}\nname = \"{quantity}\"\nquantity = \"{quantity}\"\n{place}\nunit = \"{unit}\"\nnoise-std = 1"
+        )
+        .unwrap();
+    }
+    text
+}
+
+const EXCITATIONS: &str = r#"
+[[excitation]]
+name = "ground"
+kind = "ground"
+influence = [1, 1, 0.5]
+std = 1
+
+[[excitation]]
+name = "push"
+kind = "force"
+dof = 1
+std = 1
+
+[[excitation]]
+name = "pull"
+kind = "force"
+dof = 2
+std = 1
+"#;
+
+/// Three storeys with every kind of parameter, some storeys and masses not scaled.
+fn shear_building() -> Structure {
+    parse(&format!(
+        r#"
+        [structure]
+        name = "tower"
+        sampling-rate-hz = 100
+        [model]
+        kind = "shear-building"
+        masses-kg = [2, 1.5, 1]
+        stiffnesses-n-per-m = [900, 700, 500]
+        [damping]
+        kind = "rayleigh"
+        alpha-per-s = 0.3
+        beta-s = 0.004
+        [[parameter]]
+        name = "low"
+        scales = "stiffness"
+        of = ["storey-1", "storey-2"]
+        [[parameter]]
+        name = "mass"
+        scales = "mass"
+        of = ["floor-1", "floor-3"]
+        [[parameter]]
+        name = "alpha"
+        scales = "damping-alpha"
+        [[parameter]]
+        name = "beta"
+        scales = "damping-beta"
+        {EXCITATIONS}{}"#,
+        channels()
+    ))
+}
+
+const CONSISTENT_MASS: &str =
+    "%%MatrixMarket matrix coordinate real symmetric\n3 3 5\n1 1 2\n2 1 0.3\n2 2 1.5\n3 2 -0.2\n3 3 1\n";
+const LOW: &str = "%%MatrixMarket matrix coordinate real symmetric\n3 3 3\n1 1 1600\n2 1 -700\n2 2 700\n";
+const HIGH: &str = "%%MatrixMarket matrix coordinate real symmetric\n3 3 3\n2 2 500\n3 2 -500\n3 3 500\n";
+const DAMPING: &str = "%%MatrixMarket matrix coordinate real symmetric\n3 3 4\n1 1 5\n3 1 -2\n2 2 4\n3 3 6\n";
+
+/// The same three degrees of freedom from files, with a mass matrix that is not diagonal and the given damping.
+fn of_matrices(mass: &str, damping: &str) -> Structure {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, content) in [("m.mtx", mass), ("low.mtx", LOW), ("high.mtx", HIGH), ("c.mtx", DAMPING)] {
+        std::fs::write(folder.path().join(name), content).unwrap();
+    }
+    let text = format!(
+        r#"
+        [structure]
+        name = "tower"
+        sampling-rate-hz = 100
+        [model]
+        kind = "matrices"
+        mass = "m.mtx"
+        substructures = {{ low = "low.mtx", high = "high.mtx" }}
+        [damping]
+        {damping}
+        [[parameter]]
+        name = "low"
+        scales = "stiffness"
+        of = ["low"]
+        {EXCITATIONS}{}"#,
+        channels()
+    );
+    let path: PathBuf = folder.path().join("tower.toml");
+    parse_at(&text, &path)
+}
+
+fn examples() -> Vec<(&'static str, Structure)> {
+    let rayleigh = "kind = \"rayleigh\"\nalpha-per-s = 0.3\nbeta-s = 0.004";
+    let given = "kind = \"matrix\"\nfile = \"c.mtx\"";
+    let lumped = "%%MatrixMarket matrix coordinate real symmetric\n3 3 3\n1 1 2\n2 2 1.5\n3 3 1\n";
+    vec![
+        ("shear building", shear_building()),
+        ("consistent mass, Rayleigh damping", of_matrices(CONSISTENT_MASS, rayleigh)),
+        ("consistent mass, damping matrix", of_matrices(CONSISTENT_MASS, given)),
+        ("lumped mass, damping matrix", of_matrices(lumped, given)),
+    ]
+}
+
+/// A state with displacements, velocities and parameters off their nominal values.
+fn state_of(model: &StructureModel) -> Vec<f64> {
+    let physical = model.state_len() - model.parameter_len();
+    let entry =
+        |i: usize| if i < physical { 0.1 * (1.3 * i as f64 + 0.4).sin() } else { 0.8 + 0.1 * (i - physical) as f64 };
+    (0..model.state_len()).map(entry).collect()
+}
+
+const EXCITATION: [f64; 3] = [0.7, -3.0, 2.0];
+
+/// Central differences of `function` of the state, a column per entry.
+fn differences(state: &[f64], rows: usize, mut function: impl FnMut(&[f64]) -> Vec<f64>) -> DMatrix<f64> {
+    const STEP: f64 = 1e-6;
+    let mut out = DMatrix::zeros(rows, state.len());
+    for column in 0..state.len() {
+        let mut moved = |by: f64| {
+            let mut state = state.to_vec();
+            state[column] += by;
+            function(&state)
+        };
+        let (up, down) = (moved(STEP), moved(-STEP));
+        for row in 0..rows {
+            out[(row, column)] = (up[row] - down[row]) / (2.0 * STEP);
+        }
+    }
+    out
+}
+
+#[track_caller]
+fn assert_close(what: &str, found: &DMatrix<f64>, expected: &DMatrix<f64>, tolerance: f64) {
+    let difference = (found - expected).norm();
+    assert!(
+        difference <= tolerance * expected.norm(),
+        "{what}: off by {difference:e} of {:e}\nfound{found}expected{expected}",
+        expected.norm()
+    );
+}
+
+#[test]
+fn the_process_jacobian_is_the_derivative_of_the_process() {
+    for (what, structure) in examples() {
+        let mut model = structure.model();
+        let (state, len) = (state_of(&model), model.state_len());
+        let expected = differences(&state, len, |state| {
+            model.linearise_process(state, &EXCITATION);
+            let mut out = vec![f64::NAN; len];
+            model.derivative(&mut out);
+            out
+        });
+        model.linearise_process(&state, &EXCITATION);
+        let mut found = DMatrix::from_element(len, len, f64::NAN);
+        model.jacobian_mul(&DMatrix::identity(len, len), &mut found);
+        assert_close(what, &found, &expected, DERIVATIVE_TOLERANCE);
+    }
+}
+
+#[test]
+fn the_observation_jacobian_is_the_derivative_of_the_observation() {
+    for (what, structure) in examples() {
+        let mut model = structure.model();
+        let (state, len, rows) = (state_of(&model), model.state_len(), model.observation_len());
+        let expected = differences(&state, rows, |state| {
+            model.linearise_observation(state, &EXCITATION);
+            let mut out = vec![f64::NAN; rows];
+            model.observe(&mut out);
+            out
+        });
+        model.linearise_observation(&state, &EXCITATION);
+        let mut found = DMatrix::from_element(rows, len, f64::NAN);
+        model.observation_jacobian_mul(&DMatrix::identity(len, len), &mut found);
+        for row in 0..rows {
+            let [found, expected] = [&found, &expected].map(|m| m.rows(row, 1).into_owned());
+            assert_close(&format!("{what}, row {row}"), &found, &expected, DERIVATIVE_TOLERANCE);
+        }
+    }
+}
+
+/// Both are linear in the excitation, so that a difference of any size is exact.
+#[test]
+fn excitation_matrix_and_feedthrough_are_the_effect_of_the_excitation() {
+    for (what, structure) in examples() {
+        let mut model = structure.model();
+        let (state, len, rows) = (state_of(&model), model.state_len(), model.observation_len());
+        let mut effect = |excitation: &[f64]| {
+            model.linearise_process(&state, excitation);
+            model.linearise_observation(&state, excitation);
+            let mut out = vec![0.0; len + rows];
+            let (process, observation) = out.split_at_mut(len);
+            model.derivative(process);
+            model.observe(observation);
+            out
+        };
+        let none = effect(&[0.0; 3]);
+        let mut expected = DMatrix::zeros(len + rows, 3);
+        for input in 0..3 {
+            let mut unit = [0.0; 3];
+            unit[input] = 1.0;
+            for (row, value) in effect(&unit).iter().enumerate() {
+                expected[(row, input)] = value - none[row];
+            }
+        }
+        let mut b = DMatrix::zeros(len, 3);
+        model.excitation_matrix(&mut b);
+        assert_close(what, &b, &expected.rows(0, len).into_owned(), 1e-12);
+        let d = model.feedthrough().expect("relative accelerations and forces have a direct term");
+        assert_close(what, d, &expected.rows(len, rows).into_owned(), 1e-12);
+    }
+}
+
+/// ẍ relative to the ground plus the ground's acceleration at that degree of freedom is the absolute acceleration.
+#[test]
+fn absolute_is_relative_acceleration_plus_the_motion_of_the_ground() {
+    let structure = shear_building();
+    let mut model = structure.model();
+    let state = state_of(&model);
+    model.linearise_process(&state, &EXCITATION);
+    model.linearise_observation(&state, &EXCITATION);
+    let mut rate = vec![0.0; model.state_len()];
+    model.derivative(&mut rate);
+    let mut seen = vec![0.0; model.observation_len()];
+    model.observe(&mut seen);
+    assert!((seen[0] - (rate[3] + EXCITATION[0])).abs() < 1e-12, "absolute, degree of freedom 1, ι = 1");
+    assert!((seen[1] - rate[4]).abs() < 1e-12, "relative, degree of freedom 2");
+    // no force acts on degree of freedom 3, so that its restoring acceleration is its absolute one; ι = 0.5
+    assert!((seen[2] - (rate[5] + 0.5 * EXCITATION[0])).abs() < 1e-12, "restoring, degree of freedom 3");
+}
+
+#[test]
+fn ground_motion_alone_has_no_direct_effect_on_absolute_accelerations() {
+    let text = include_str!("../../../../docs/examples/demo.toml");
+    assert!(parse(text).model().feedthrough().is_none());
+}
+
+#[test]
+fn matrices_of_a_shear_building_give_the_same_model() {
+    // storeys of 900, 700, 500 N/m: LOW holds the first two, HIGH the third
+    let lumped = "%%MatrixMarket matrix coordinate real symmetric\n3 3 3\n1 1 2\n2 2 1.5\n3 3 1\n";
+    let dense = lumped.replace("3 3 3\n", "3 3 4\n") + "2 1 0\n";
+    let rayleigh = "kind = \"rayleigh\"\nalpha-per-s = 0.3\nbeta-s = 0.004";
+    let of_file = of_matrices(&dense, rayleigh);
+    let storeys = parse(&{
+        let mut text = shear_building().text().to_owned();
+        let (from, to) =
+            (text.find("[[parameter]]\n        name = \"mass\"").unwrap(), text.find("\n[[excitation]]").unwrap());
+        text.replace_range(from..to, "");
+        text
+    });
+    let matrices = |structure: &Structure| {
+        let mut model = structure.model();
+        let (state, len) = (state_of(&model), model.state_len());
+        model.linearise_process(&state, &EXCITATION);
+        model.linearise_observation(&state, &EXCITATION);
+        let mut a = DMatrix::zeros(len, len);
+        model.jacobian_mul(&DMatrix::identity(len, len), &mut a);
+        let mut h = DMatrix::zeros(model.observation_len(), len);
+        model.observation_jacobian_mul(&DMatrix::identity(len, len), &mut h);
+        (a, h)
+    };
+    let (found, expected) = (matrices(&of_file), matrices(&storeys));
+    assert_close("A", &found.0, &expected.0, 1e-14);
+    assert_close("H", &found.1, &expected.1, 1e-14);
+}
+
+/// Huang & Yuen (2023), §2.3.3: sixty storeys, k/m = 1632 s⁻², printed f₁ = 0.1669 Hz and 1.0 % in modes 1 and 2.
+#[test]
+fn the_published_sixty_storey_building_has_its_frequencies_and_damping() {
+    let structure = parse(
+        r#"
+        [structure]
+        name = "building"
+        sampling-rate-hz = 200
+        [model]
+        kind = "shear-building"
+        storeys = 60
+        mass-kg = 1
+        stiffness-n-per-m = 1632
+        [damping]
+        kind = "rayleigh"
+        alpha-per-s = 0.0157
+        beta-s = 0.0048
+        [[parameter]]
+        name = "beta"
+        scales = "damping-beta"
+        [[excitation]]
+        name = "ground"
+        kind = "ground"
+        spectral-intensity = 1.6e-5
+        [[node]]
+        name = "roof"
+        [[node.channel]]
+        name = "roof"
+        quantity = "absolute-acceleration"
+        dof = 60
+        unit = "m/s2"
+        noise-std = 0.01
+        "#,
+    );
+    let modes = structure.nominal_modes().unwrap();
+    let frequencies: Vec<f64> = modes.angular_frequencies.iter().map(|omega| omega / (2.0 * PI)).collect();
+    let ratios = modes.damping_ratios(&structure.system.damping);
+    assert!((frequencies[0] - 0.1669).abs() < 5e-5, "{}", frequencies[0]);
+    assert!((frequencies[1] - 0.5007).abs() < 5e-5, "{}", frequencies[1]);
+    // β is printed with two figures, which leaves 1 % of the damping open
+    assert!((ratios[0] - 0.0100).abs() < 1e-4, "{}", ratios[0]);
+    assert!((ratios[1] - 0.0101).abs() < 1e-4, "{}", ratios[1]);
+    // sample deviation √(2π S₀/Δt), printed as 0.1418 m/s²
+    assert!((structure.excitations()[0].std() - 0.1418).abs() < 5e-5);
+}
+
+/// Huang & Yuen (2023), chapter 3: five masses of 1 kg, springs of 5000 N/m, f₁ = 3.203 Hz and 1.00 % in modes 1 and 2.
+#[test]
+fn the_published_chain_has_its_frequency() {
+    let stiffness =
+        crate::shear_building::ShearBuilding { masses_kg: vec![1.0; 5], stiffnesses_n_per_m: vec![5000.0; 5] };
+    let system = LinearSystem {
+        mass: stiffness.mass(),
+        substructures: stiffness.substructures(),
+        damping: Damping::Rayleigh { alpha_per_s: 0.2998, beta_s: 2.536e-4 },
+        degrees_of_freedom: stiffness.degrees_of_freedom(),
+    };
+    let modes = Modes::of(&system, &[1.0; 5]).unwrap();
+    assert!((modes.angular_frequencies[0] / (2.0 * PI) - 3.203).abs() < 0.001);
+    let ratios = modes.damping_ratios(&system.damping);
+    assert!((ratios[0] - 0.01).abs() < 1e-4 && (ratios[1] - 0.01).abs() < 1e-4, "{ratios:?}");
+}
+
+#[test]
+fn a_uniform_building_has_the_frequency_and_damping_it_was_asked_for() {
+    let demo = parse(include_str!("../../../../docs/examples/demo.toml"));
+    let modes = demo.nominal_modes().unwrap();
+    assert!((modes.angular_frequencies[0] / (2.0 * PI) - 1.0).abs() < 1e-12);
+    let ratios = modes.damping_ratios(&demo.system.damping);
+    assert!((ratios[0] - 0.02).abs() < 1e-12 && (ratios[1] - 0.02).abs() < 1e-12, "{ratios:?}");
+}
+
+/// First natural frequencies of a cantilever of Euler-Bernoulli beams, `(β L)² √(EI / m L⁴) / 2π`, βL = 1.8751, 4.6941;
+/// three elements are within 1 % of the second.
+#[test]
+fn the_mast_of_the_example_is_a_cantilever() {
+    let mast = Structure::read(Path::new("../../docs/examples/matrices.toml")).unwrap();
+    let modes = mast.nominal_modes().unwrap();
+    let scale = (2.0e8_f64 / (1200.0 * 12.0_f64.powi(4))).sqrt() / (2.0 * PI);
+    let found = [0, 1].map(|mode| modes.angular_frequencies[mode] / (2.0 * PI));
+    assert!((found[0] / (1.8751_f64.powi(2) * scale) - 1.0).abs() < 1e-3, "{found:?}");
+    assert!((found[1] / (4.6941_f64.powi(2) * scale) - 1.0).abs() < 1e-2, "{found:?}");
+}
+
+proptest! {
+    /// The bound holds for any parameters within their limits.
+    #[test]
+    fn no_rate_exceeds_the_bound(factors in proptest::collection::vec(0.05f64..20.0, 4)) {
+        for (what, structure) in examples() {
+            let mut model = structure.model();
+            let (len, parameters) = (model.state_len(), model.parameter_len());
+            let mut state = vec![0.0; len];
+            state[len - parameters..].copy_from_slice(&factors[..parameters]);
+            model.linearise_process(&state, &[0.0; 3]);
+            let mut a = DMatrix::zeros(len, len);
+            model.jacobian_mul(&DMatrix::identity(len, len), &mut a);
+            let fastest = a.complex_eigenvalues().iter().map(|s| s.norm()).fold(0.0, f64::max);
+            let bound = model.rate_bound();
+            prop_assert!(fastest <= bound * (1.0 + 1e-9), "{}: {} above {}", what, fastest, bound);
+        }
+    }
+
+    /// Any columns at once give the same as one by one, bit by bit.
+    #[test]
+    fn columns_do_not_depend_on_each_other(values in proptest::collection::vec(-1.0f64..1.0, 30)) {
+        let structure = shear_building();
+        let mut model = structure.model();
+        let len = model.state_len();
+        model.linearise_process(&state_of(&model), &EXCITATION);
+        let columns = DMatrix::from_column_slice(len, 3, &values[..3 * len]);
+        let mut together = DMatrix::zeros(len, 3);
+        model.jacobian_mul(&columns, &mut together);
+        for column in 0..3 {
+            let mut alone = DMatrix::zeros(len, 1);
+            model.jacobian_mul(&columns.columns(column, 1).into_owned(), &mut alone);
+            prop_assert_eq!(alone.column(0), together.column(column));
+        }
+    }
+}

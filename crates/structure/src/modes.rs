@@ -1,0 +1,68 @@
+//! Natural frequencies, mode shapes and modal damping of a linear structure.
+//!
+//! `K φ = ω² M φ` with `φᵀ M φ = 1`, solved as the symmetric problem `L⁻¹ K L⁻ᵀ q = ω² q`, `M = L Lᵀ`, `φ = L⁻ᵀ q`.
+
+use crate::linear_system::{Damping, LinearSystem, dense};
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+
+/// The undamped modes of a structure, lowest frequency first.
+#[derive(Debug, Clone)]
+pub(crate) struct Modes {
+    /// `ω` (rad/s), ascending.
+    pub(crate) angular_frequencies: Vec<f64>,
+    /// `Φ` (N_d × N_d), a column per mode, `Φᵀ M Φ = I`.
+    pub(crate) shapes: DMatrix<f64>,
+}
+
+impl Modes {
+    /// Solves for all modes; `mass` is positive definite, `stiffness` symmetric. `None`: `mass` is not.
+    pub(crate) fn new(mass: DMatrix<f64>, mut stiffness: DMatrix<f64>) -> Option<Self> {
+        let l = mass.cholesky()?.unpack();
+        l.solve_lower_triangular_mut(&mut stiffness);
+        stiffness.transpose_mut();
+        l.solve_lower_triangular_mut(&mut stiffness);
+        let transposed = stiffness.transpose();
+        let eigen = SymmetricEigen::new((stiffness + transposed) * 0.5);
+        let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).collect();
+        order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
+        let mut shapes = eigen.eigenvectors.select_columns(&order);
+        l.tr_solve_lower_triangular_mut(&mut shapes);
+        let angular_frequencies = order.iter().map(|mode| eigen.eigenvalues[*mode].max(0.0).sqrt()).collect();
+        Some(Self { angular_frequencies, shapes })
+    }
+
+    /// Solves for the modes of `system` with each substructure scaled by its entry of `factors`.
+    pub(crate) fn of(system: &LinearSystem, factors: &[f64]) -> Option<Self> {
+        Self::new(system.mass.to_dense(), system.stiffness(factors))
+    }
+
+    /// Returns `ω_max` (rad/s).
+    pub(crate) fn highest(&self) -> f64 {
+        self.angular_frequencies.last().copied().unwrap_or(0.0)
+    }
+
+    /// Returns `φᵀ X φ` of one mode for a symmetric `X`.
+    pub(crate) fn quadratic(&self, mode: usize, x: &DMatrix<f64>) -> f64 {
+        let shape: DVector<f64> = self.shapes.column(mode).into_owned();
+        (x * &shape).dot(&shape)
+    }
+
+    /// Returns the damping ratio `φᵀ C φ / 2ω` of each mode.
+    ///
+    /// Exact for Rayleigh damping. For a damping matrix that couples the modes it is the usual first approximation.
+    pub(crate) fn damping_ratios(&self, damping: &Damping) -> Vec<f64> {
+        let matrix = match damping {
+            Damping::Rayleigh { .. } => None,
+            Damping::Matrix(matrix) => Some(dense(matrix)),
+        };
+        let ratio = |(mode, omega): (usize, &f64)| {
+            let modal = match (damping, &matrix) {
+                (Damping::Rayleigh { alpha_per_s, beta_s }, _) => alpha_per_s + beta_s * omega * omega,
+                (Damping::Matrix(_), Some(matrix)) => self.quadratic(mode, matrix),
+                (Damping::Matrix(_), None) => 0.0,
+            };
+            modal / (2.0 * omega)
+        };
+        self.angular_frequencies.iter().enumerate().map(ratio).collect()
+    }
+}

@@ -1,0 +1,167 @@
+//! Sensor nodes and their channels.
+
+use std::fmt;
+
+/// What a channel measures. Accelerations say in which frame of reference.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Quantity {
+    /// Acceleration of a degree of freedom in space (m/s²): what an accelerometer measures.
+    AbsoluteAcceleration,
+    /// Acceleration of a degree of freedom relative to the ground (m/s²).
+    RelativeAcceleration,
+    /// `−M⁻¹(C ẋ + K x)` of a degree of freedom (m/s²): without the direct effect of a force on that mass.
+    RestoringAcceleration,
+    /// Acceleration of the ground (m/s²): a measured excitation.
+    GroundAcceleration,
+    /// A measured force (N): a measured excitation.
+    Force,
+    /// Velocity of a degree of freedom relative to the ground (m/s).
+    Velocity,
+    /// Displacement of a degree of freedom relative to the ground (m).
+    Displacement,
+    /// A weighted sum of displacements relative to the ground, such as a strain or a drift ratio (1).
+    Strain,
+}
+
+impl Quantity {
+    /// All quantities with the word that stands for them in a structure file.
+    pub(crate) const WORDS: [(&'static str, Self); 8] = [
+        ("absolute-acceleration", Self::AbsoluteAcceleration),
+        ("relative-acceleration", Self::RelativeAcceleration),
+        ("restoring-acceleration", Self::RestoringAcceleration),
+        ("ground-acceleration", Self::GroundAcceleration),
+        ("force", Self::Force),
+        ("velocity", Self::Velocity),
+        ("displacement", Self::Displacement),
+        ("strain", Self::Strain),
+    ];
+
+    /// Returns the SI unit, as structure files write it.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::AbsoluteAcceleration
+            | Self::RelativeAcceleration
+            | Self::RestoringAcceleration
+            | Self::GroundAcceleration => "m/s2",
+            Self::Force => "N",
+            Self::Velocity => "m/s",
+            Self::Displacement => "m",
+            Self::Strain => "1",
+        }
+    }
+
+    /// Returns the units that the columns of a record may have, each with its size in the SI unit.
+    #[must_use]
+    pub fn record_units(self) -> &'static [(&'static str, f64)] {
+        match self {
+            Self::AbsoluteAcceleration
+            | Self::RelativeAcceleration
+            | Self::RestoringAcceleration
+            | Self::GroundAcceleration => {
+                // standard gravity, exact by definition; 1 Gal = 1 cm/s²
+                &[("m/s2", 1.0), ("g", 9.806_65), ("mg", 9.806_65e-3), ("cm/s2", 0.01), ("gal", 0.01), ("mm/s2", 1e-3)]
+            }
+            Self::Force => &[("N", 1.0), ("kN", 1e3), ("MN", 1e6)],
+            Self::Velocity => &[("m/s", 1.0), ("cm/s", 0.01), ("mm/s", 1e-3)],
+            Self::Displacement => &[("m", 1.0), ("cm", 0.01), ("mm", 1e-3), ("um", 1e-6)],
+            Self::Strain => &[("1", 1.0), ("microstrain", 1e-6)],
+        }
+    }
+
+    /// Returns the absolute value (SI) beyond which a sample is absurd unless the file says otherwise.
+    ///
+    /// Far above any sound response: 20 g, the fastest ground motions tenfold, a displacement of metres, the strain at
+    /// which steel has long yielded; a force of 1 GN is beyond any jack or shaker.
+    pub(crate) fn default_range(self) -> f64 {
+        match self {
+            Self::AbsoluteAcceleration
+            | Self::RelativeAcceleration
+            | Self::RestoringAcceleration
+            | Self::GroundAcceleration => 200.0,
+            Self::Force => 1e9,
+            Self::Velocity => 20.0,
+            Self::Displacement => 10.0,
+            Self::Strain => 0.1,
+        }
+    }
+
+    /// Tells whether a channel of this quantity measures an excitation, not the response.
+    #[must_use]
+    pub fn is_excitation(self) -> bool {
+        matches!(self, Self::GroundAcceleration | Self::Force)
+    }
+}
+
+impl fmt::Display for Quantity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let word = Self::WORDS.iter().find(|(_, quantity)| quantity == self).map_or("", |(word, _)| word);
+        f.write_str(word)
+    }
+}
+
+/// One channel of a sensor node.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Channel {
+    pub(crate) name: String,
+    pub(crate) quantity: Quantity,
+    /// Degrees of freedom (from 0) with their coefficients; one with coefficient 1 unless it is a strain.
+    pub(crate) sensed: Vec<(usize, f64)>,
+    pub(crate) noise_std: f64,
+    pub(crate) range: f64,
+}
+
+impl Channel {
+    /// Returns the name, unique in the structure.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Returns what is measured.
+    #[must_use]
+    pub fn quantity(&self) -> Quantity {
+        self.quantity
+    }
+
+    /// Returns the standard deviation of the measurement noise (SI unit of the quantity).
+    #[must_use]
+    pub fn noise_std(&self) -> f64 {
+        self.noise_std
+    }
+
+    /// Returns the absolute value (SI unit of the quantity) beyond which a sample is absurd.
+    #[must_use]
+    pub fn range(&self) -> f64 {
+        self.range
+    }
+}
+
+/// A sensor node: channels that are sampled together and arrive together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Node {
+    pub(crate) name: String,
+    pub(crate) sampling_rate_hz: Option<f64>,
+    pub(crate) channels: Vec<Channel>,
+}
+
+impl Node {
+    /// Returns the name, unique in the structure.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Returns the rate of the node (Hz) where it is slower than the structure's, which it divides.
+    #[must_use]
+    pub fn sampling_rate_hz(&self) -> Option<f64> {
+        self.sampling_rate_hz
+    }
+
+    /// Returns the channels in the order of the node's samples.
+    #[must_use]
+    pub fn channels(&self) -> &[Channel] {
+        &self.channels
+    }
+}

@@ -1,0 +1,394 @@
+//! Reads one table of the structure file key by key; every mistake is noted and reading goes on.
+//!
+//! A derived deserialiser stops at the first wrong type. Walking the table keeps the span of each key and value, so
+//! that all mistakes of a file are found in one go, each with its line.
+
+use crate::diagnostics::{Diagnostics, one_of};
+use std::fmt;
+use std::ops::{Bound, Range};
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// The numbers that a key allows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Allowed {
+    low: Bound<f64>,
+    high: Bound<f64>,
+}
+
+impl Allowed {
+    pub(crate) const ANY: Self = Self { low: Bound::Unbounded, high: Bound::Unbounded };
+    pub(crate) const POSITIVE: Self = Self { low: Bound::Excluded(0.0), high: Bound::Unbounded };
+    pub(crate) const NOT_NEGATIVE: Self = Self { low: Bound::Included(0.0), high: Bound::Unbounded };
+    /// Above 0 and below 1.
+    pub(crate) const INSIDE_UNIT: Self = Self { low: Bound::Excluded(0.0), high: Bound::Excluded(1.0) };
+    /// From 0, below 1.
+    pub(crate) const SHARE: Self = Self { low: Bound::Included(0.0), high: Bound::Excluded(1.0) };
+
+    fn contains(self, value: f64) -> bool {
+        value.is_finite() && std::ops::RangeBounds::contains(&(self.low, self.high), &value)
+    }
+}
+
+impl fmt::Display for Allowed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let low = match self.low {
+            Bound::Included(low) => Some(format!("from {low}")),
+            Bound::Excluded(low) => Some(format!("above {low}")),
+            Bound::Unbounded => None,
+        };
+        let high = match self.high {
+            Bound::Included(high) => Some(format!("up to {high}")),
+            Bound::Excluded(high) => Some(format!("below {high}")),
+            Bound::Unbounded => None,
+        };
+        f.write_str("must be a finite number")?;
+        match (low, high) {
+            (Some(low), Some(high)) => write!(f, " {low} and {high}"),
+            (Some(one), None) | (None, Some(one)) => write!(f, " {one}"),
+            (None, None) => Ok(()),
+        }
+    }
+}
+
+/// A degree of freedom as a file names it: by number from 1, or by name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum NumberOrName {
+    Number(i64),
+    Name(String),
+}
+
+/// One table being read.
+pub(crate) struct Section<'t> {
+    table: &'t DeTable<'t>,
+    name: String,
+    span: Range<usize>,
+    known: Vec<&'static str>,
+    diagnostics: &'t Diagnostics<'t>,
+}
+
+impl<'t> Section<'t> {
+    pub(crate) fn new(
+        table: &'t DeTable<'t>,
+        name: impl Into<String>,
+        span: Range<usize>,
+        diagnostics: &'t Diagnostics<'t>,
+    ) -> Self {
+        Self { table, name: name.into(), span, known: Vec::new(), diagnostics }
+    }
+
+    /// Returns where the table begins.
+    pub(crate) fn span(&self) -> Range<usize> {
+        self.span.clone()
+    }
+
+    /// Returns `table.key`, as messages show it.
+    pub(crate) fn key(&self, key: &str) -> String {
+        if self.name.is_empty() { key.to_owned() } else { format!("{}.{key}", self.name) }
+    }
+
+    pub(crate) fn diagnostics(&self) -> &'t Diagnostics<'t> {
+        self.diagnostics
+    }
+
+    pub(crate) fn contains(&self, key: &str) -> bool {
+        self.table.contains_key(key)
+    }
+
+    /// Reports that `key` is missing, unless it is there (a value that was wrong has been reported already).
+    pub(crate) fn require<T>(&self, key: &str, allowed: impl fmt::Display, value: Option<T>) -> Option<T> {
+        if !self.contains(key) {
+            self.diagnostics.report(self.span(), self.key(key), "is missing", allowed.to_string());
+        }
+        value
+    }
+
+    /// Takes keys as known that are not read, because what decides on them is wrong and has been reported.
+    pub(crate) fn leave_unread(&mut self, keys: &[&'static str]) {
+        self.known.extend(keys);
+    }
+
+    /// Reports the keys that nobody has asked for.
+    pub(crate) fn finish(self) {
+        for (key, _) in self.table {
+            if !self.known.contains(&key.get_ref().as_ref()) {
+                let hint = one_of(key.get_ref(), self.known.iter().copied());
+                self.diagnostics.report(key.span(), self.key(key.get_ref()), "is not a known key", hint);
+            }
+        }
+    }
+
+    /// Reports a value that is not what its key allows.
+    pub(crate) fn refuse(&self, key: &str, value: &Spanned<DeValue<'t>>, allowed: impl fmt::Display) {
+        self.diagnostics.report(value.span(), self.key(key), describe(value.get_ref()), allowed.to_string());
+    }
+
+    fn value(&mut self, key: &'static str) -> Option<&'t Spanned<DeValue<'t>>> {
+        self.known.push(key);
+        self.table.get(key)
+    }
+
+    /// Reads a number; an integer counts as one.
+    pub(crate) fn number(&mut self, key: &'static str, allowed: Allowed) -> Option<Spanned<f64>> {
+        let value = self.value(key)?;
+        self.check_number(key, value, allowed)
+    }
+
+    /// Reads a number that must be there.
+    pub(crate) fn required_number(&mut self, key: &'static str, allowed: Allowed) -> Option<Spanned<f64>> {
+        let value = self.number(key, allowed);
+        self.require(key, allowed, value)
+    }
+
+    /// Reads a number, or takes the default of the key.
+    pub(crate) fn number_or(&mut self, key: &'static str, allowed: Allowed, default: f64) -> f64 {
+        self.number(key, allowed).map_or(default, Spanned::into_inner)
+    }
+
+    /// Reads a list of numbers.
+    pub(crate) fn numbers(&mut self, key: &'static str, allowed: Allowed) -> Option<Spanned<Vec<f64>>> {
+        let value = self.value(key)?;
+        let Some(entries) = value.get_ref().as_array() else {
+            self.refuse(key, value, "must be a list of numbers");
+            return None;
+        };
+        let numbers: Vec<_> = entries.iter().map(|entry| self.check_number(key, entry, allowed)).collect();
+        let numbers: Option<Vec<f64>> = numbers.into_iter().map(|n| n.map(Spanned::into_inner)).collect();
+        numbers.map(|numbers| Spanned::new(value.span(), numbers))
+    }
+
+    /// Reads a number, which then holds for each of `len` entries, or a list of as many.
+    pub(crate) fn number_for_each(&mut self, key: &'static str, allowed: Allowed, len: usize) -> Option<Vec<f64>> {
+        if self.table.get(key).is_some_and(|value| value.get_ref().is_array()) {
+            let numbers = self.numbers(key, allowed)?;
+            if numbers.get_ref().len() != len {
+                let found = format!("has {} entries", numbers.get_ref().len());
+                self.diagnostics.report(numbers.span(), self.key(key), found, format!("must have {len}"));
+                return None;
+            }
+            return Some(numbers.into_inner());
+        }
+        self.number(key, allowed).map(|number| vec![number.into_inner(); len])
+    }
+
+    /// Reads a number under a name chosen by the user, an entry of [`Section::entries`].
+    pub(crate) fn entry_number(
+        &self,
+        key: &str,
+        name: &Spanned<String>,
+        value: &Spanned<DeValue<'t>>,
+        allowed: Allowed,
+    ) -> Option<f64> {
+        self.check_number(&format!("{key}.{}", name.get_ref()), value, allowed).map(Spanned::into_inner)
+    }
+
+    fn check_number(&self, key: &str, value: &Spanned<DeValue<'t>>, allowed: Allowed) -> Option<Spanned<f64>> {
+        let number = match value.get_ref() {
+            DeValue::Float(float) => float.as_str().parse().ok(),
+            DeValue::Integer(integer) => {
+                i64::from_str_radix(integer.as_str(), integer.radix()).ok().map(|whole| whole as f64)
+            }
+            _ => None,
+        };
+        match number {
+            Some(number) if allowed.contains(number) => Some(Spanned::new(value.span(), number)),
+            _ => {
+                self.refuse(key, value, allowed);
+                None
+            }
+        }
+    }
+
+    /// Reads a whole number from `low` up to `high`.
+    pub(crate) fn whole(&mut self, key: &'static str, low: usize, high: usize) -> Option<Spanned<usize>> {
+        let value = self.value(key)?;
+        let whole = whole_number(value.get_ref()).and_then(|whole| usize::try_from(whole).ok());
+        match whole {
+            Some(whole) if (low..=high).contains(&whole) => Some(Spanned::new(value.span(), whole)),
+            _ => {
+                self.refuse(key, value, format!("must be a whole number from {low} to {high}"));
+                None
+            }
+        }
+    }
+
+    /// Reads `true` or `false`, or takes the default of the key.
+    pub(crate) fn flag_or(&mut self, key: &'static str, default: bool) -> bool {
+        let Some(value) = self.value(key) else { return default };
+        value.get_ref().as_bool().unwrap_or_else(|| {
+            self.refuse(key, value, "must be true or false");
+            default
+        })
+    }
+
+    /// Reads any text.
+    pub(crate) fn text(&mut self, key: &'static str) -> Option<Spanned<String>> {
+        let value = self.value(key)?;
+        let text = value.get_ref().as_str();
+        if text.is_none() {
+            self.refuse(key, value, "must be a text in quotes");
+        }
+        text.map(|text| Spanned::new(value.span(), text.to_owned()))
+    }
+
+    /// Reads a name, one chunk of a key expression.
+    pub(crate) fn name(&mut self, key: &'static str) -> Option<Spanned<String>> {
+        let value = self.value(key)?;
+        self.check_name(key, value)
+    }
+
+    /// Reads a name that must be there.
+    pub(crate) fn required_name(&mut self, key: &'static str) -> Option<Spanned<String>> {
+        let value = self.name(key);
+        self.require(key, NAME_RULE, value)
+    }
+
+    fn check_name(&self, key: &str, value: &Spanned<DeValue<'t>>) -> Option<Spanned<String>> {
+        match value.get_ref().as_str() {
+            Some(name) if is_name(name) => Some(Spanned::new(value.span(), name.to_owned())),
+            _ => {
+                self.refuse(key, value, NAME_RULE);
+                None
+            }
+        }
+    }
+
+    /// Reads a list of names; the wrong ones are reported and left out.
+    pub(crate) fn names(&mut self, key: &'static str) -> Option<Spanned<Vec<Spanned<String>>>> {
+        let value = self.value(key)?;
+        let Some(entries) = value.get_ref().as_array() else {
+            self.refuse(key, value, "must be a list of names");
+            return None;
+        };
+        let names = entries.iter().filter_map(|entry| self.check_name(key, entry)).collect();
+        Some(Spanned::new(value.span(), names))
+    }
+
+    /// Reads one of a closed set of words.
+    pub(crate) fn choice<T: Copy>(&mut self, key: &'static str, choices: &[(&str, T)]) -> Option<Spanned<T>> {
+        let value = self.value(key)?;
+        let chosen = value.get_ref().as_str().and_then(|word| choices.iter().find(|(name, _)| *name == word));
+        if chosen.is_none() {
+            self.refuse(key, value, choice_rule(choices));
+        }
+        chosen.map(|(_, choice)| Spanned::new(value.span(), *choice))
+    }
+
+    /// Reads one of a closed set of words that must be there.
+    pub(crate) fn required_choice<T: Copy>(&mut self, key: &'static str, choices: &[(&str, T)]) -> Option<Spanned<T>> {
+        let chosen = self.choice(key, choices);
+        self.require(key, choice_rule(choices), chosen)
+    }
+
+    /// Reads a number from 1 or a name.
+    pub(crate) fn number_or_name(&mut self, key: &'static str) -> Option<Spanned<NumberOrName>> {
+        let value = self.value(key)?;
+        self.check_number_or_name(key, value)
+    }
+
+    /// Reads a list of numbers from 1 or names; `None` as soon as one is neither.
+    pub(crate) fn numbers_or_names(&mut self, key: &'static str) -> Option<Spanned<Vec<Spanned<NumberOrName>>>> {
+        let value = self.value(key)?;
+        let Some(entries) = value.get_ref().as_array() else {
+            self.refuse(key, value, "must be a list of numbers or names of degrees of freedom");
+            return None;
+        };
+        let all: Vec<_> = entries.iter().map(|entry| self.check_number_or_name(key, entry)).collect();
+        let all: Option<Vec<_>> = all.into_iter().collect();
+        all.map(|all| Spanned::new(value.span(), all))
+    }
+
+    fn check_number_or_name(&self, key: &str, value: &Spanned<DeValue<'t>>) -> Option<Spanned<NumberOrName>> {
+        let name = value.get_ref().as_str().map(|name| NumberOrName::Name(name.to_owned()));
+        let read = name.or_else(|| whole_number(value.get_ref()).map(NumberOrName::Number));
+        if read.is_none() {
+            self.refuse(key, value, "must be the number or the name of a degree of freedom");
+        }
+        read.map(|read| Spanned::new(value.span(), read))
+    }
+
+    /// Tells whether the value of `key` is a text (some keys allow a word or a table).
+    pub(crate) fn is_text(&self, key: &str) -> bool {
+        self.table.get(key).is_some_and(|value| value.get_ref().is_str())
+    }
+
+    /// Opens a table inside this one.
+    pub(crate) fn table(&mut self, key: &'static str) -> Option<Section<'t>> {
+        let value = self.value(key)?;
+        self.open(key, value)
+    }
+
+    /// Opens a table that must be there.
+    pub(crate) fn required_table(&mut self, key: &'static str) -> Option<Section<'t>> {
+        let table = self.table(key);
+        self.require(key, "must be given as a table", table)
+    }
+
+    /// Opens every table of a list of tables; a missing list is an empty one.
+    pub(crate) fn tables(&mut self, key: &'static str) -> Vec<Section<'t>> {
+        let Some(value) = self.value(key) else { return Vec::new() };
+        match value.get_ref().as_array() {
+            Some(entries) => entries.iter().filter_map(|entry| self.open(key, entry)).collect(),
+            None => {
+                self.refuse(key, value, format!("must be a list of tables: [[{}]]", self.key(key)));
+                Vec::new()
+            }
+        }
+    }
+
+    /// Opens a table whose keys are names chosen by the user, in the order of the file.
+    pub(crate) fn entries(&mut self, key: &'static str) -> Vec<(Spanned<String>, &'t Spanned<DeValue<'t>>)> {
+        let Some(section) = self.table(key) else { return Vec::new() };
+        let mut entries: Vec<_> = section.table.iter().collect();
+        entries.sort_by_key(|(name, _)| name.span().start);
+        entries
+            .into_iter()
+            .map(|(name, value)| (Spanned::new(name.span(), name.get_ref().to_string()), value))
+            .collect()
+    }
+
+    /// Opens `value`, which belongs to `key` of this table, as a table of its own.
+    pub(crate) fn open(&self, key: &str, value: &'t Spanned<DeValue<'t>>) -> Option<Section<'t>> {
+        match value.get_ref().as_table() {
+            Some(table) => Some(Section::new(table, self.key(key), value.span(), self.diagnostics)),
+            None => {
+                self.refuse(key, value, "must be a table");
+                None
+            }
+        }
+    }
+}
+
+/// What a name may look like: it becomes one chunk of a key expression.
+const NAME_RULE: &str = "must be a name of lower-case letters, digits and hyphens";
+
+/// Tells whether `name` can be one chunk of a key expression: `[a-z0-9-]+`.
+pub(crate) fn is_name(name: &str) -> bool {
+    !name.is_empty() && name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
+}
+
+fn choice_rule<T>(choices: &[(&str, T)]) -> String {
+    let words: Vec<String> = choices.iter().map(|(word, _)| format!("\"{word}\"")).collect();
+    match words.as_slice() {
+        [one] => format!("must be {one}"),
+        _ => format!("must be one of {}", words.join(", ")),
+    }
+}
+
+fn whole_number(value: &DeValue<'_>) -> Option<i64> {
+    let integer = value.as_integer()?;
+    i64::from_str_radix(integer.as_str(), integer.radix()).ok()
+}
+
+/// Says what a value is, the way a message needs it.
+pub(crate) fn describe(value: &DeValue<'_>) -> String {
+    match value {
+        DeValue::String(text) => format!("is \"{text}\""),
+        DeValue::Integer(integer) => format!("is {integer}"),
+        DeValue::Float(float) => format!("is {float}"),
+        DeValue::Boolean(flag) => format!("is {flag}"),
+        DeValue::Datetime(time) => format!("is the time {time}"),
+        DeValue::Array(_) => "is a list".to_owned(),
+        DeValue::Table(_) => "is a table".to_owned(),
+    }
+}

@@ -1,0 +1,237 @@
+//! Simulates the response of a structure with its damage, its excitation and the faults of its sensors.
+//!
+//! The recursion is exact for an excitation held (or running straight) over a step; it is made anew when a parameter
+//! changes. The parameters between two frames are those of the older one. Everything follows from the seed.
+
+use crate::linear_form::{LinearForm, Recursion};
+use crate::model::StructureModel;
+use crate::simulation_plan::SimulationPlan;
+use crate::structure::Structure;
+use nalgebra::{DMatrix, DVector};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::StandardNormal;
+use spandrel_filter::InputHold;
+
+/// One simulated instant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SimulatedFrame {
+    /// Number of the frame, from 0; its time is this times [`Structure::step_s`].
+    pub index: u64,
+    /// One value per channel in frame order (SI); NaN where the sample is missing.
+    pub values: Vec<f64>,
+}
+
+/// What a channel shows.
+#[derive(Debug, Clone, Copy)]
+enum Source {
+    /// An observation row.
+    Response(usize),
+    /// A component of the excitation.
+    Excitation(usize),
+}
+
+/// How the samples of one channel come about.
+#[derive(Debug, Clone, Copy)]
+struct SimulatedChannel {
+    source: Source,
+    noise_std: f64,
+    /// Frames from one sample of the node to its next.
+    every: u64,
+}
+
+/// Simulates a structure from rest, frame by frame, without end.
+#[derive(Debug, Clone)]
+pub struct Simulator {
+    model: StructureModel,
+    plan: SimulationPlan,
+    undamaged: Vec<f64>,
+    step_s: f64,
+    hold: InputHold,
+    excitation_std: Vec<f64>,
+    channels: Vec<SimulatedChannel>,
+    theta: Vec<f64>,
+    recursion: Recursion,
+    observation: DMatrix<f64>,
+    direct: DMatrix<f64>,
+    /// `u` (2 N_d), `f` and the next `f` (N_f), `z` (N_0)
+    state: DVector<f64>,
+    excitation: DVector<f64>,
+    next_excitation: DVector<f64>,
+    response: DVector<f64>,
+    next_state: DVector<f64>,
+    index: u64,
+    excitation_random: ChaCha8Rng,
+    noise_random: ChaCha8Rng,
+    fault_random: ChaCha8Rng,
+}
+
+impl Structure {
+    /// Makes a simulation of the structure that depends on nothing but the file and `seed`.
+    #[must_use]
+    pub fn simulator(&self, seed: u64) -> Simulator {
+        Simulator::new(self, self.simulation.clone(), vec![1.0; self.parameters.len()], seed)
+    }
+
+    /// Makes a simulation of the structure at its prior means, with nothing but white noise happening to it.
+    pub(crate) fn undamaged_simulator(&self, seed: u64) -> Simulator {
+        let plan = SimulationPlan::uneventful(self.nodes.len());
+        Simulator::new(self, plan, self.parameters.iter().map(crate::Parameter::mean).collect(), seed)
+    }
+
+    /// Returns the true parameters (ratios to nominal) of the simulation at a frame.
+    #[must_use]
+    pub fn true_parameters(&self, index: u64) -> Vec<f64> {
+        true_parameters(&self.simulation, &vec![1.0; self.parameters.len()], index as f64 * self.step_s())
+    }
+}
+
+fn true_parameters(plan: &SimulationPlan, undamaged: &[f64], time_s: f64) -> Vec<f64> {
+    let mut theta = undamaged.to_vec();
+    for damage in &plan.damage {
+        theta[damage.parameter] -= damage.lost(time_s);
+    }
+    theta
+}
+
+impl Simulator {
+    fn new(structure: &Structure, plan: SimulationPlan, undamaged: Vec<f64>, seed: u64) -> Self {
+        let mut model = structure.model();
+        let theta = true_parameters(&plan, &undamaged, 0.0);
+        let form = LinearForm::new(&mut model, &theta);
+        let (step_s, hold) = (structure.step_s(), structure.plan.input_hold);
+        let inputs = structure.excitations.len();
+        // streams of their own, so that a dropped sample changes neither the motion nor the noise
+        let random = |stream| {
+            let mut random = ChaCha8Rng::seed_from_u64(seed);
+            random.set_stream(stream);
+            random
+        };
+        let mut simulator = Self {
+            recursion: form.recursion(step_s, hold),
+            state: DVector::zeros(form.system.nrows()),
+            next_state: DVector::zeros(form.system.nrows()),
+            response: DVector::zeros(form.observation.nrows()),
+            observation: form.observation,
+            direct: form.direct,
+            model,
+            plan,
+            undamaged,
+            step_s,
+            hold,
+            excitation_std: structure.excitations.iter().map(crate::Excitation::std).collect(),
+            channels: simulated_channels(structure),
+            theta,
+            excitation: DVector::zeros(inputs),
+            next_excitation: DVector::zeros(inputs),
+            index: 0,
+            excitation_random: random(0),
+            noise_random: random(1),
+            fault_random: random(2),
+        };
+        simulator.draw_excitation(0);
+        simulator
+    }
+
+    /// Returns the true state (displacements and velocities relative to the ground, m and m/s) at the coming frame.
+    #[must_use]
+    pub fn state(&self) -> &[f64] {
+        self.state.as_slice()
+    }
+
+    /// Draws the excitation of frame `index` into the place of the next one.
+    fn draw_excitation(&mut self, index: u64) {
+        let time_s = index as f64 * self.step_s;
+        let amplitude = self.plan.modulation.map_or(1.0, |modulation| modulation.amplitude(time_s));
+        for (entry, std) in self.next_excitation.iter_mut().zip(&self.excitation_std) {
+            let normal: f64 = self.excitation_random.sample(StandardNormal);
+            *entry = amplitude * std * normal;
+        }
+    }
+
+    /// Makes the recursion anew if the damage has changed a parameter.
+    fn follow_damage(&mut self) {
+        let theta = true_parameters(&self.plan, &self.undamaged, self.index as f64 * self.step_s);
+        if theta != self.theta {
+            let form = LinearForm::new(&mut self.model, &theta);
+            self.recursion = form.recursion(self.step_s, self.hold);
+            (self.observation, self.direct, self.theta) = (form.observation, form.direct, theta);
+        }
+    }
+
+    /// Adds noise and faults to what the channels show of this instant.
+    fn sample(&mut self) -> Vec<f64> {
+        let (response, excitation) = (&self.response, &self.excitation);
+        let mut values = Vec::with_capacity(self.channels.len());
+        for channel in &self.channels {
+            let truth = match channel.source {
+                Source::Response(row) => response[row],
+                Source::Excitation(input) => excitation[input],
+            };
+            let normal: f64 = self.noise_random.sample(StandardNormal);
+            let [dropped, spiked, side]: [f64; 3] = self.fault_random.random();
+            let height = if side < 0.5 { self.plan.spikes.height } else { -self.plan.spikes.height };
+            let spike = if spiked < self.plan.spikes.share { height } else { 0.0 };
+            let missing = dropped < self.plan.dropped_share || !self.index.is_multiple_of(channel.every);
+            values.push(if missing { f64::NAN } else { truth + channel.noise_std * (normal + spike) });
+        }
+        values
+    }
+
+    /// Moves the state by one step, (2.7).
+    fn advance(&mut self) {
+        let Recursion { transition, input, slope } = &self.recursion;
+        self.next_state.gemv(1.0, transition, &self.state, 0.0); // A u
+        self.next_state.gemv(1.0, input, &self.excitation, 1.0); // + B f_i
+        if self.hold == InputHold::First {
+            self.next_state.gemv(1.0, slope, &self.next_excitation, 1.0); // + B₁ (f_{i+1} − f_i)
+            self.next_state.gemv(-1.0, slope, &self.excitation, 1.0);
+        }
+        std::mem::swap(&mut self.state, &mut self.next_state);
+    }
+
+    /// Makes the next frame.
+    pub(crate) fn advance_frame(&mut self) -> SimulatedFrame {
+        self.follow_damage();
+        std::mem::swap(&mut self.excitation, &mut self.next_excitation);
+        self.draw_excitation(self.index + 1);
+        self.response.gemv(1.0, &self.observation, &self.state, 0.0); // z = H u + D f
+        self.response.gemv(1.0, &self.direct, &self.excitation, 1.0);
+        let values = self.sample();
+        self.advance();
+        let index = self.index;
+        self.index += 1;
+        SimulatedFrame { index, values }
+    }
+}
+
+impl Iterator for Simulator {
+    type Item = SimulatedFrame;
+
+    /// Returns the next frame; there is always one.
+    fn next(&mut self) -> Option<SimulatedFrame> {
+        Some(self.advance_frame())
+    }
+}
+
+fn simulated_channels(structure: &Structure) -> Vec<SimulatedChannel> {
+    let mut channels = Vec::new();
+    for node in structure.nodes() {
+        let every = node.sampling_rate_hz().map_or(1.0, |rate_hz| structure.sampling_rate_hz / rate_hz);
+        for channel in node.channels() {
+            let frame_channel = channels.len();
+            let position = |of: &[usize]| of.iter().position(|channel| *channel == frame_channel);
+            let row = position(&structure.observation_channels).map(Source::Response);
+            let input = structure.excitation_channels.iter().position(|channel| *channel == Some(frame_channel));
+            // a channel is one or the other, checked when the file was read
+            if let Some(source) = row.or(input.map(Source::Excitation)) {
+                channels.push(SimulatedChannel { source, noise_std: channel.noise_std(), every: every.round() as u64 });
+            }
+        }
+    }
+    channels
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,184 @@
+//! The structure: everything that a valid structure file says.
+
+use crate::alert_rule::AlertRule;
+use crate::error::StructureError;
+use crate::excitation::Excitation;
+use crate::file::StructureFile;
+use crate::filter_plan::FilterPlan;
+use crate::linear_system::LinearSystem;
+use crate::modes::Modes;
+use crate::node::{Channel, Node};
+use crate::noise_level::NoiseLevel;
+use crate::parameter::Parameter;
+use crate::record_map::RecordMap;
+use crate::settings::{BandLimit, IngestSettings};
+use crate::simulation_plan::SimulationPlan;
+use std::path::Path;
+
+/// A monitored structure: model, parameters, excitation, sensors, and what is asked of the filter and the alerts.
+///
+/// It comes from a structure file only, and is valid: names are unique and known, matrices definite, numbers in range.
+#[derive(Debug, Clone)]
+pub struct Structure {
+    pub(crate) text: String,
+    pub(crate) name: String,
+    pub(crate) description: String,
+    pub(crate) sampling_rate_hz: f64,
+    pub(crate) display_rate_hz: f64,
+    pub(crate) system: LinearSystem,
+    pub(crate) parameters: Vec<Parameter>,
+    pub(crate) excitations: Vec<Excitation>,
+    pub(crate) excitation_channels: Vec<Option<usize>>,
+    pub(crate) nodes: Vec<Node>,
+    pub(crate) observation_channels: Vec<usize>,
+    pub(crate) noise_levels: Vec<NoiseLevel>,
+    pub(crate) plan: FilterPlan,
+    pub(crate) band_limit: Option<BandLimit>,
+    pub(crate) ingest: IngestSettings,
+    pub(crate) alert_rules: Vec<AlertRule>,
+    pub(crate) record: RecordMap,
+    pub(crate) simulation: SimulationPlan,
+}
+
+impl Structure {
+    /// Reads a structure file, and the matrices that it names.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or with all its mistakes.
+    pub fn read(path: &Path) -> Result<Self, StructureError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| StructureError::Unreadable { path: path.to_owned(), source })?;
+        Self::parse(&text, path)
+    }
+
+    /// Reads the text of a structure file; `path` names it in messages, and matrices are looked up beside it.
+    ///
+    /// # Errors
+    /// With all mistakes of the file.
+    pub fn parse(text: &str, path: &Path) -> Result<Self, StructureError> {
+        StructureFile::parse(text, path)?.resolve(path)
+    }
+
+    /// Returns the name, one chunk of a key expression.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Returns what the owner wrote about it.
+    #[must_use]
+    pub fn description(&self) -> &str {
+        &self.description
+    }
+
+    /// Returns the file as read.
+    #[must_use]
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// Returns the rate of the frames (Hz).
+    #[must_use]
+    pub fn sampling_rate_hz(&self) -> f64 {
+        self.sampling_rate_hz
+    }
+
+    /// Returns `Δt` (s), the time between two frames.
+    #[must_use]
+    pub fn step_s(&self) -> f64 {
+        1.0 / self.sampling_rate_hz
+    }
+
+    /// Returns the rate (Hz) of what people look at.
+    #[must_use]
+    pub fn display_rate_hz(&self) -> f64 {
+        self.display_rate_hz
+    }
+
+    /// Returns the sensor nodes in file order.
+    #[must_use]
+    pub fn nodes(&self) -> &[Node] {
+        &self.nodes
+    }
+
+    /// Returns all channels in frame order: by node, then by channel, as in the file.
+    pub fn channels(&self) -> impl Iterator<Item = &Channel> {
+        self.nodes.iter().flat_map(|node| node.channels())
+    }
+
+    /// Returns the number of channels of a frame.
+    #[must_use]
+    pub fn channel_count(&self) -> usize {
+        self.nodes.iter().map(|node| node.channels().len()).sum()
+    }
+
+    /// Returns the identified parameters in state order.
+    #[must_use]
+    pub fn parameters(&self) -> &[Parameter] {
+        &self.parameters
+    }
+
+    /// Returns the components of the excitation.
+    #[must_use]
+    pub fn excitations(&self) -> &[Excitation] {
+        &self.excitations
+    }
+
+    /// Returns the frame channel of each excitation component, `None` where it is not measured.
+    #[must_use]
+    pub fn excitation_channels(&self) -> &[Option<usize>] {
+        &self.excitation_channels
+    }
+
+    /// Returns the frame channel of each observation row.
+    #[must_use]
+    pub fn observation_channels(&self) -> &[usize] {
+        &self.observation_channels
+    }
+
+    /// Returns the variances of excitation and sensors: first one per excitation component, then the groups of sensors.
+    #[must_use]
+    pub fn noise_levels(&self) -> &[NoiseLevel] {
+        &self.noise_levels
+    }
+
+    /// Returns the alert rules.
+    #[must_use]
+    pub fn alert_rules(&self) -> &[AlertRule] {
+        &self.alert_rules
+    }
+
+    /// Returns the low-pass filter of all channels, if there is one.
+    #[must_use]
+    pub fn band_limit(&self) -> Option<BandLimit> {
+        self.band_limit
+    }
+
+    /// Returns how samples become frames.
+    #[must_use]
+    pub fn ingest(&self) -> IngestSettings {
+        self.ingest
+    }
+
+    /// Returns how the columns of a recording become channels.
+    #[must_use]
+    pub fn record(&self) -> &RecordMap {
+        &self.record
+    }
+
+    /// Returns what a simulation goes through.
+    #[must_use]
+    pub fn simulation(&self) -> &SimulationPlan {
+        &self.simulation
+    }
+
+    /// Returns the channel of each observation row.
+    pub(crate) fn observations(&self) -> impl Iterator<Item = &Channel> {
+        self.channels().filter(|channel| !channel.quantity().is_excitation())
+    }
+
+    /// Returns the undamped modes as designed.
+    pub(crate) fn nominal_modes(&self) -> Option<Modes> {
+        Modes::of(&self.system, &vec![1.0; self.system.substructures.len()])
+    }
+}
