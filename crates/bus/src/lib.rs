@@ -59,8 +59,8 @@ pub use live::{LiveToken, LiveWatch};
 pub use message::{
     Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, CredibleInterval, DecodeError, Description,
     EncodeError, Estimate, EstimateBlock, EstimateFlags, Event, EventKind, Format, FrameBlock, Header, MAX_CHANNELS,
-    MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, Message, NodeState, NoiseDisplay, ParameterDisplay,
-    Phase, Progress, SampleBlock, Status, StreamState,
+    MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, Message, NodeState, NoiseDisplay, Pace,
+    ParameterDisplay, Phase, Progress, SampleBlock, Status, StreamState,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};

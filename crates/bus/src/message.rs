@@ -30,7 +30,7 @@ pub use header::{Header, MAX_SOURCE_BYTES};
 pub use noise::NoiseDisplay;
 pub use parameter::{CredibleInterval, ParameterDisplay};
 pub use progress::Progress;
-pub use samples::{NodeState, SampleBlock};
+pub use samples::{NodeState, Pace, SampleBlock};
 pub use status::Status;
 
 /// Largest payload accepted, in bytes; nothing larger is ever decoded or sent.

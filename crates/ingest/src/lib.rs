@@ -4,7 +4,7 @@
 //! channel come out, in order, none skipped.
 //!
 //! ```
-//! use spandrel_bus::{Header, SampleBlock, StreamState};
+//! use spandrel_bus::{Header, Pace, SampleBlock, StreamState};
 //! use spandrel_ingest::{Alignment, Input, Layout, NodeLayout};
 //!
 //! let node = |name: &str| Ok::<_, spandrel_bus::NameError>(NodeLayout { name: name.parse()?, ranges: vec![20.0] });
@@ -13,6 +13,7 @@
 //! let block = |name: &str, value: f64| SampleBlock {
 //!     header: Header { source: name.into(), epoch: 1, sequence: 0, time_ns: 0 },
 //!     sampling_rate_hz: 100.0,
+//!     pace: Pace::Live,
 //!     channels: 1,
 //!     samples: vec![value],
 //!     state: StreamState::Running,

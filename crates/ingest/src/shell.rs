@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use spandrel_bus::{
     Bus, Delivery, DisplayPublisher, FrameBlock, Keys, LiveToken, LiveWatch, Name, NumberedPublisher, NumberedStream,
-    ProgressPublisher, SampleBlock, Service, Start, Status, Stream, StreamSettings,
+    Pace, ProgressPublisher, SampleBlock, Service, Start, Status, Stream, StreamSettings,
 };
 use spandrel_structure::Structure;
 use tokio::task::JoinSet;
@@ -78,6 +78,8 @@ pub struct IngestService {
     keys: Keys,
     id: Name,
     service: Name,
+    /// That of the last block: the nodes of a structure are either all live or all replayed.
+    pace: Pace,
     done: u64,
     last_time_ns: Option<i64>,
     token: LiveToken,
@@ -137,6 +139,7 @@ impl IngestService {
             progress: bus.publish_progress(keys.progress(Service::Ingest), id.to_string()).await?,
             status: bus.publish_display(keys.status(Service::Ingest, &id)).await?,
             service: Name::new(Service::Ingest.as_str())?,
+            pace: Pace::Live,
             done: 0,
             last_time_ns: None,
             // Last, because sources start when they see it: the readers above are there by then.
@@ -200,6 +203,7 @@ impl IngestService {
         let Delivery::Block(block) = delivery else {
             return Ok(()); // logged and counted by the stream; to the alignment it is a gap in time
         };
+        self.pace = block.pace;
         let elapsed = self.started.elapsed();
         self.last_heard[node] = elapsed;
         if self.signs[node] == Sign::Lost {
@@ -252,6 +256,9 @@ impl IngestService {
                 warn!(structure, node = name, "node is gone, frames no longer wait for it");
                 self.handle(Input::Lost { node }).await?;
             }
+        }
+        if self.pace == Pace::Replayed {
+            return Ok(()); // frames wait for the other nodes of a record, however far behind they are
         }
         let deadline = self.lateness.as_mut().and_then(|lateness| lateness.deadline_ns(elapsed));
         match deadline {

@@ -7,8 +7,8 @@ use std::net::TcpListener;
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, Bus, BusConfig, Delivery, FrameBlock, Header, Keys, Name, NumberedPublisher, NumberedStream, SampleBlock,
-    Service, Start, Status, Stream, StreamSettings, StreamState,
+    Block, Bus, BusConfig, Delivery, FrameBlock, Header, Keys, Name, NumberedPublisher, NumberedStream, Pace,
+    SampleBlock, Service, Start, Status, Stream, StreamSettings, StreamState,
 };
 use spandrel_ingest::{IngestService, IngestSettings, Layout, NodeLayout, Waiting};
 use tokio::time::timeout;
@@ -58,6 +58,7 @@ fn samples(node: &str, epoch: u64, from: u64, to: u64) -> SampleBlock {
     SampleBlock {
         header: Header { source: node.into(), epoch, sequence: from, time_ns: from as i64 * STEP },
         sampling_rate_hz: 200.0,
+        pace: Pace::Live,
         channels: 1,
         samples: (from..to).map(|v| v as f64).collect(),
         state: StreamState::Running,

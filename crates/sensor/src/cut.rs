@@ -1,6 +1,6 @@
 //! Cuts the rows of a structure into the sample blocks of its nodes: no clock, no network.
 
-use spandrel_bus::{Block, Header, Name, NameError, SampleBlock, StreamState, TimeGrid};
+use spandrel_bus::{Block, Header, Name, NameError, Pace, SampleBlock, StreamState, TimeGrid};
 use spandrel_structure::Structure;
 
 /// A sample may be this share of a step away from the even spacing of its block, else a new block starts.
@@ -83,6 +83,7 @@ impl Cutter {
         let open = nodes.iter().map(|node| SampleBlock {
             header: Header { source: node.name.to_string(), epoch, sequence: 0, time_ns: 0 },
             sampling_rate_hz: node.sampling_rate_hz,
+            pace: Pace::Replayed,
             channels: node.channels,
             samples: Vec::new(),
             state: StreamState::Running,

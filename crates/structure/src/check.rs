@@ -1,6 +1,7 @@
 //! Analyses a structure with its sensors before anything is measured: frequencies, damping, and what can be identified.
 
 mod finding;
+mod identification;
 mod text;
 
 use crate::information::Information;
@@ -14,12 +15,6 @@ use serde::Serialize;
 use spandrel_filter::ProcessModel;
 use spandrel_filter::discretise::Series;
 use std::f64::consts::PI;
-
-/// Standard deviation of the logarithm of a noise variance that nothing is known of: a factor of e¹⁰ either way.
-const VAGUE: f64 = 10.0;
-
-/// Priors are widened by this for correlations, so that these show what the data say and not what was believed.
-const WIDE: f64 = 10.0;
 
 /// What the analysis of a structure found.
 #[derive(Debug, Clone, Serialize)]
@@ -179,104 +174,6 @@ impl Structure {
             }
             Scales::DampingAlpha | Scales::DampingBeta => DMatrix::zeros(len, len),
         }
-    }
-
-    /// Turns information into standard deviations; `None` if it cannot be inverted.
-    fn identification(&self, information: &Information, frames: u64) -> Option<IdentificationReport> {
-        let settings = self.filter_settings().ok()?;
-        // Σ λ⁻ᵏ over the frames before this one
-        let memory_frames = 1.0 / (settings.fading.value() - 1.0);
-        let noise_memory_frames = 1.0 / (settings.noise_settings.fading - 1.0);
-        let (theta, all) = (self.parameters.len(), information.held.nrows());
-        let everything: Vec<usize> = (0..all).collect();
-        let unknown: Vec<usize> =
-            (0..all).filter(|index| *index < theta || self.noise_levels[*index - theta].adapted).collect();
-        let parameters_alone: Vec<usize> = (0..theta).collect();
-        let [held, counted] = [&information.held, &information.counted];
-        let after = self.covariance(held, frames as f64, &unknown, 1.0)?;
-        let steady = self.covariance(held, memory_frames, &unknown, 1.0)?;
-        let reported = self.covariance(counted, memory_frames, &parameters_alone, 1.0)?;
-        let joint = self.covariance(held, frames as f64, &everything, WIDE)?;
-        let known = self.covariance(held, frames as f64, &parameters_alone, 1.0)?;
-        let settling_frames = self.settling(information, &unknown, memory_frames, noise_memory_frames)?;
-        let step_s = self.step_s();
-        let parameters = self.parameters.iter().enumerate().map(|(index, parameter)| ParameterReport {
-            name: parameter.name.clone(),
-            prior_std: parameter.std(),
-            std_after: after[(index, index)].sqrt(),
-            std_steady: steady[(index, index)].sqrt(),
-            std_reported: reported[(index, index)].sqrt(),
-            settling_s: settling_frames[index] * step_s,
-            // θ̂ moves by −P I_{θ,ln ψ} when ln ψ is stated too high; 10 % in deviation is 2 ln 1.1 in ln ψ
-            shifts: (theta..all)
-                .map(|level| {
-                    let pull = held.column(level).rows(0, theta) * frames as f64;
-                    -known.column(index).dot(&pull) * 2.0 * 1.1_f64.ln()
-                })
-                .collect(),
-        });
-        let noise_levels = self.noise_levels.iter().enumerate().map(|(index, level)| NoiseLevelReport {
-            name: level.name.clone(),
-            adapted: level.adapted,
-            // the deviation is the square root of the variance
-            relative_std_after: 0.5 * joint[(theta + index, theta + index)].sqrt(),
-            haste: information.pull[(theta + index, theta + index)] / counted[(theta + index, theta + index)],
-        });
-        let correlation = |i: usize, j: usize| joint[(i, j)] / (joint[(i, i)] * joint[(j, j)]).sqrt();
-        Some(IdentificationReport {
-            duration_s: frames as f64 * step_s,
-            memory_s: memory_frames * step_s,
-            parameters: parameters.collect(),
-            noise_levels: noise_levels.collect(),
-            correlations: everything.iter().map(|i| everything.iter().map(|j| correlation(*i, *j)).collect()).collect(),
-        })
-    }
-
-    /// Returns the covariance of the `unknown` quantities after `frames` frames, priors `widened` times included.
-    ///
-    /// Noise levels start with a vague prior: adapting forgets where they started.
-    fn covariance(
-        &self,
-        information: &DMatrix<f64>,
-        frames: f64,
-        unknown: &[usize],
-        widened: f64,
-    ) -> Option<DMatrix<f64>> {
-        let mut precision =
-            DMatrix::from_fn(unknown.len(), unknown.len(), |i, j| frames * information[(unknown[i], unknown[j])]);
-        for (entry, index) in unknown.iter().enumerate() {
-            let std = self.parameters.get(*index).map_or(VAGUE, |parameter| widened * parameter.std());
-            precision[(entry, entry)] += 1.0 / (std * std);
-        }
-        // scaled to a unit diagonal: parameters and levels differ by orders of magnitude
-        let scale = precision.diagonal().map(|entry| 1.0 / entry.sqrt());
-        let scaled = DMatrix::from_fn(unknown.len(), unknown.len(), |i, j| precision[(i, j)] * scale[i] * scale[j]);
-        let inverse = scaled.cholesky()?.solve(&DMatrix::identity(unknown.len(), unknown.len()));
-        Some(DMatrix::from_fn(unknown.len(), unknown.len(), |i, j| inverse[(i, j)] * scale[i] * scale[j]))
-    }
-
-    /// Returns the diagonal of `G⁻¹` (frames) over the `unknown` quantities: an error of theirs falls as `exp(−k G)`.
-    ///
-    /// `G = J⁻¹ F` divided by the memory of each (frames): the filter moves by what pulls it over what it counts. Its prior
-    /// counts too, because the variance is bounded. Infinite where nothing pulls.
-    fn settling(
-        &self,
-        information: &Information,
-        unknown: &[usize],
-        memory_frames: f64,
-        noise_memory_frames: f64,
-    ) -> Option<Vec<f64>> {
-        let of = |x: &DMatrix<f64>| DMatrix::from_fn(unknown.len(), unknown.len(), |i, j| x[(unknown[i], unknown[j])]);
-        let mut counted = of(&information.counted);
-        for (entry, parameter) in self.parameters.iter().enumerate() {
-            counted[(entry, entry)] += 1.0 / (parameter.std().powi(2) * memory_frames);
-        }
-        let mut rates = counted.cholesky()?.solve(&of(&information.pull));
-        for (entry, mut row) in rates.row_iter_mut().enumerate() {
-            row /= if entry < self.parameters.len() { memory_frames } else { noise_memory_frames };
-        }
-        let times = rates.lu().solve(&DMatrix::identity(unknown.len(), unknown.len()));
-        Some(times.map_or(vec![f64::INFINITY; unknown.len()], |times| times.diagonal().as_slice().to_vec()))
     }
 }
 

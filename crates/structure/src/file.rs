@@ -20,6 +20,7 @@ use crate::noise_level::{NoiseLevel, NoiseSource};
 use crate::section::{Allowed, Section};
 use crate::structure::Structure;
 use node::ChannelRead;
+use spandrel_filter::NoiseRule;
 use std::path::Path;
 use toml::Spanned;
 use toml::de::DeTable;
@@ -82,12 +83,15 @@ impl<'t> StructureFile<'t> {
         let excitations =
             excitation::read_excitations(&mut file, &excitation::Context { rate_hz: head.rate_hz, system, channels });
         let (declared, parameters) = parameter::read_parameters(&mut file, system, damping.as_ref());
-        let noise_levels = read_noise_levels(&file, &nodes.channels, &excitations);
+        let plan = filter::read_filter(file.table("filter"));
+        let mut noise_levels = read_noise_levels(&file, &nodes.channels, &excitations);
+        for level in &mut noise_levels {
+            level.adapted &= plan.noise_rule != NoiseRule::Fixed;
+        }
         let parameter_names: Vec<&str> = parameters.iter().map(|read| read.parameter.name()).collect();
         let parameter_names = (declared == parameters.len()).then_some(&parameter_names[..]);
         let node_names: Vec<&str> = nodes.nodes.iter().map(crate::Node::name).collect();
         let node_names = (!nodes.incomplete).then_some(&node_names[..]);
-        let plan = filter::read_filter(file.table("filter"));
         let band_limit = filter::read_band_limit(file.table("band-limit"), head.rate_hz);
         let ingest = filter::read_ingest(file.table("ingest"), head.rate_hz);
         let alert_rules = alert::read_alerts(&mut file, parameter_names);

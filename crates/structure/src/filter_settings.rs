@@ -4,8 +4,7 @@ use crate::noise_level::NoiseSource;
 use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
-    Annealing, FadingFactor, FilterError, FilterSettings, NoiseModel, NoiseParameter, NoiseRule, NoiseSettings,
-    NoiseTarget,
+    Annealing, FadingFactor, FilterError, FilterSettings, NoiseModel, NoiseParameter, NoiseSettings, NoiseTarget,
 };
 use std::f64::consts::PI;
 
@@ -65,7 +64,7 @@ impl Structure {
             for entry in entries {
                 pattern[(*entry, *entry)] = 1.0;
             }
-            if level.adapted && self.plan.noise_rule != NoiseRule::Fixed {
+            if level.adapted {
                 model.parameters.push(NoiseParameter {
                     name: level.name.clone(),
                     target,

@@ -7,6 +7,10 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use nalgebra_sparse::CsrMatrix;
 
+/// More degrees of freedom than this are refused: eigenvalues and covariances are dense, and a filter of this size is far
+/// from real time already.
+pub(crate) const LARGEST_MODEL: usize = 1000;
+
 /// The mass matrix `M` (kg), positive definite.
 #[derive(Debug, Clone)]
 pub(crate) enum Mass {

@@ -1,5 +1,6 @@
 //! Reads matrices of a finite element program (Matrix Market) and checks what a structure needs of them.
 
+use crate::linear_system::LARGEST_MODEL;
 use nalgebra::{DMatrix, SymmetricEigen};
 use nalgebra_sparse::io::load_coo_from_matrix_market_str;
 use nalgebra_sparse::{CooMatrix, CsrMatrix};
@@ -32,6 +33,7 @@ pub(crate) fn read(path: &Path) -> Result<CsrMatrix<f64>, Unusable> {
         .map_err(|error| Unusable::new(format!("{shown} cannot be read ({error})"), allowed))?;
     // the reader refuses a last line without a line break and lines ending in CR LF
     let text = text.replace("\r\n", "\n");
+    check_sizes(&text).map_err(|found| Unusable::new(format!("{shown} {found}"), SIZE_RULE))?;
     let entries: CooMatrix<f64> = load_coo_from_matrix_market_str(text.trim_end()).map_err(|error| {
         let message = error.message().lines().collect::<Vec<_>>().join(" ");
         Unusable::new(format!("{shown} is not readable ({message})"), allowed)
@@ -44,6 +46,33 @@ pub(crate) fn read(path: &Path) -> Result<CsrMatrix<f64>, Unusable> {
         )),
         None => Ok(matrix),
     }
+}
+
+/// What is allowed of the numbers of rows, columns and entries.
+const SIZE_RULE: &str = "must have at most 1000 degrees of freedom (reduce the model first)";
+
+/// Checks the numbers that count something, because the reader takes any for granted.
+fn check_sizes(text: &str) -> Result<(), String> {
+    let is_coordinate = text.lines().next().is_some_and(|header| header.to_ascii_lowercase().contains("coordinate"));
+    let lines = text.lines().filter(|line| !line.starts_with('%') && !line.trim().is_empty());
+    for (number, line) in lines.enumerate() {
+        let (shape, indices) = (number == 0, is_coordinate);
+        let counting = if shape {
+            3
+        } else if indices {
+            2
+        } else {
+            0
+        };
+        for (place, word) in line.split_whitespace().take(counting).enumerate() {
+            let largest = if place == 2 { LARGEST_MODEL * LARGEST_MODEL } else { LARGEST_MODEL };
+            let counts = !word.is_empty() && word.bytes().all(|digit| digit.is_ascii_digit());
+            if counts && !word.parse::<usize>().is_ok_and(|count| count <= largest) {
+                return Err(format!("has {word} in {line:?}"));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Reads a symmetric matrix; small differences from symmetry are averaged out.

@@ -15,12 +15,15 @@ pub(crate) struct Modes {
 }
 
 impl Modes {
-    /// Solves for all modes; `mass` is positive definite, `stiffness` symmetric. `None`: `mass` is not.
+    /// Solves for all modes; `stiffness` is symmetric. `None`: `mass` is not positive definite, or numbers overflow.
     pub(crate) fn new(mass: DMatrix<f64>, mut stiffness: DMatrix<f64>) -> Option<Self> {
         let l = mass.cholesky()?.unpack();
         l.solve_lower_triangular_mut(&mut stiffness);
         stiffness.transpose_mut();
         l.solve_lower_triangular_mut(&mut stiffness);
+        if stiffness.iter().any(|entry| !entry.is_finite()) {
+            return None; // the iteration would not end
+        }
         let transposed = stiffness.transpose();
         let eigen = SymmetricEigen::new((stiffness + transposed) * 0.5);
         let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).collect();

@@ -9,6 +9,16 @@ use crate::grid::TimeGrid;
 /// Whether the node goes on.
 pub type NodeState = StreamState;
 
+/// Whether samples come as they are measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Pace {
+    /// As they are measured: a node that stays silent is late by the wall clock.
+    Live,
+    /// From a record or a simulation, at any speed: one node can lead another by thousands of blocks, and frames wait for
+    /// the others without limit, so that the same record gives the same frames.
+    Replayed,
+}
+
 /// Consecutive samples of all channels of one node.
 ///
 /// Sample j is at `header.time_ns + round(j·10⁹/rate)`; a gap in time starts a new block. Values are in the units of
@@ -19,6 +29,8 @@ pub struct SampleBlock {
     pub header: Header,
     /// Sampling rate of the node, Hz.
     pub sampling_rate_hz: f64,
+    /// Whether they come as they are measured.
+    pub pace: Pace,
     /// Channels of the node.
     pub channels: u16,
     /// Sample-major: sample 0 of all channels, sample 1 of all channels, ...

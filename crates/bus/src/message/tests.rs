@@ -23,6 +23,7 @@ fn samples(sequence: u64, time_ns: i64, count: usize) -> SampleBlock {
     SampleBlock {
         header: Header { time_ns, ..header(sequence) },
         sampling_rate_hz: 120.0,
+        pace: Pace::Live,
         channels: 2,
         samples: (0..2 * count).map(|v| v as f64).collect(),
         state: NodeState::Running,

@@ -4,6 +4,7 @@ use spandrel_bus::{Message, Name};
 
 use super::*;
 use crate::layout::NodeLayout;
+use spandrel_bus::Pace;
 
 const T0: i64 = 1_700_000_000_000_000_000;
 const STEP: i64 = 10_000_000;
@@ -24,6 +25,7 @@ fn block(node: usize, time_ns: i64, values: &[f64]) -> SampleBlock {
     SampleBlock {
         header: Header { source: format!("node-{node}"), epoch: 1, sequence: 0, time_ns },
         sampling_rate_hz: 100.0,
+        pace: Pace::Live,
         channels: 1,
         samples: values.to_vec(),
         state: StreamState::Running,

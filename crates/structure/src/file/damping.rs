@@ -1,8 +1,7 @@
 //! Reads `[damping]`.
 
 use super::matrices::{Named, read_symmetric};
-use super::model::LARGEST_MODEL;
-use crate::linear_system::{Damping, LinearSystem, dense};
+use crate::linear_system::{Damping, LARGEST_MODEL, LinearSystem, dense};
 use crate::matrix_file::{self, Unusable};
 use crate::modes::Modes;
 use crate::section::{Allowed, Section};

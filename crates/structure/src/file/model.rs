@@ -1,12 +1,10 @@
 //! Reads `[model]`: the kind, and the shear building.
 
 use super::matrices::read_matrices;
-use crate::linear_system::{Damping, LinearSystem};
+use crate::linear_system::{Damping, LARGEST_MODEL, LinearSystem};
+use crate::modes::Modes;
 use crate::section::{Allowed, Section};
 use crate::shear_building::ShearBuilding;
-
-/// More storeys or degrees of freedom than this would not fit a filter with a dense covariance.
-pub(super) const LARGEST_MODEL: usize = 5000;
 
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
@@ -19,24 +17,30 @@ const KINDS: [(&str, Kind); 2] = [("shear-building", Kind::ShearBuilding), ("mat
 /// Reads `[model]`; the damping of the result is still zero.
 pub(super) fn read_model(mut section: Section<'_>) -> Option<LinearSystem> {
     let kind = section.required_choice("kind", &KINDS)?;
-    match kind.into_inner() {
-        Kind::ShearBuilding => {
-            let building = read_shear_building(&mut section);
-            section.finish();
-            let building = building?;
-            Some(LinearSystem {
-                mass: building.mass(),
-                substructures: building.substructures(),
-                damping: Damping::Rayleigh { alpha_per_s: 0.0, beta_s: 0.0 },
-                degrees_of_freedom: building.degrees_of_freedom(),
-            })
-        }
-        Kind::Matrices => {
-            let system = read_matrices(&mut section);
-            section.finish();
-            system
-        }
+    let system = match kind.into_inner() {
+        Kind::ShearBuilding => read_shear_building(&mut section).map(|building| LinearSystem {
+            mass: building.mass(),
+            substructures: building.substructures(),
+            damping: Damping::Rayleigh { alpha_per_s: 0.0, beta_s: 0.0 },
+            degrees_of_freedom: building.degrees_of_freedom(),
+        }),
+        Kind::Matrices => read_matrices(&mut section),
+    };
+    let system = system.filter(|system| check_frequencies(&section, system));
+    section.finish();
+    system
+}
+
+/// Numbers that are finite may still have frequencies that are not.
+fn check_frequencies(section: &Section<'_>, system: &LinearSystem) -> bool {
+    let modes = Modes::new(system.mass.to_dense(), system.nominal_stiffness());
+    let sound = |modes: Modes| modes.angular_frequencies.iter().all(|omega| omega.is_normal());
+    let sound = modes.is_some_and(sound);
+    if !sound {
+        let allowed = "must have masses and stiffnesses of real structures";
+        section.diagnostics().report(section.span(), section.key("kind"), "has no natural frequencies", allowed);
     }
+    sound
 }
 
 fn read_shear_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
@@ -54,6 +58,12 @@ fn read_shear_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
         let found = format!("has {storeys} entries for {floors} masses");
         let key = section.key("stiffnesses-n-per-m");
         section.diagnostics().report(stiffnesses.span(), key, found, "must have one stiffness per mass");
+        return None;
+    }
+    if floors > LARGEST_MODEL {
+        let found = format!("has {floors} entries");
+        let allowed = format!("must have at most {LARGEST_MODEL}");
+        section.diagnostics().report(masses.span(), section.key("masses-kg"), found, allowed);
         return None;
     }
     Some(ShearBuilding { masses_kg: masses.into_inner(), stiffnesses_n_per_m: stiffnesses.into_inner() })

@@ -157,6 +157,14 @@ fn numbers_out_of_range_or_not_finite_are_refused() {
 }
 
 #[test]
+fn numbers_whose_frequencies_overflow_are_refused() {
+    assert_eq!(
+        mistakes_after("first-frequency-hz = 1.0", "first-frequency-hz = 1e200"),
+        ["model.kind: has no natural frequencies, must have masses and stiffnesses of real structures"]
+    );
+}
+
+#[test]
 fn a_value_of_the_wrong_type_is_refused() {
     assert_eq!(
         mistakes_after("sampling-rate-hz = 100", "sampling-rate-hz = \"fast\""),
@@ -164,7 +172,7 @@ fn a_value_of_the_wrong_type_is_refused() {
     );
     assert_eq!(
         mistakes_after("storeys = 5", "storeys = 5.5"),
-        ["model.storeys: is 5.5, must be a whole number from 1 to 5000"]
+        ["model.storeys: is 5.5, must be a whole number from 1 to 1000"]
     );
     assert_eq!(
         mistakes_after("adapt-noise = true", "adapt-noise = 1")[0],
@@ -485,5 +493,27 @@ noise-std = 1e-4
         assert_eq!(key, "excitation.influence");
         assert_eq!(found, "has 1 entries");
         assert_eq!(allowed, "must have 2, one per degree of freedom, not all zero");
+    }
+
+    #[test]
+    fn a_matrix_of_absurd_size_is_refused() {
+        for size in ["1001", "1000000000000", "99999999999999999999999999"] {
+            let lower = LOWER.replace("2 2 1\n", &format!("{size} {size} 1\n"));
+            let (_, key, found, allowed) = single_mistake(read_with(FILE, MASS, &lower, UPPER));
+            assert_eq!(key, "model.substructures.lower");
+            assert!(found.starts_with(&format!("lower.mtx has {size} in")), "{found}");
+            assert_eq!(allowed, "must have at most 1000 degrees of freedom (reduce the model first)");
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn any_matrix_file_gives_a_structure_or_an_error(
+            kind in "(coordinate|array) (real|integer|complex|pattern) (general|symmetric|skew-symmetric|hermitian)",
+            body in "([0-9]{1,30}|-?[0-9]\\.[0-9]e[0-9]{1,3}|NaN|inf|[ \n%])( |\n)([0-9 \n.e+-]{0,40})",
+        ) {
+            let _ = read_with(FILE, MASS, &format!("%%MatrixMarket matrix {kind}\n{body}"), UPPER);
+            let _ = read_with(FILE, MASS, &format!("%%MatrixMarket matrix {kind}\n2 2 1\n{body}"), UPPER);
+        }
     }
 }

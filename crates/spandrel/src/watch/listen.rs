@@ -1,0 +1,134 @@
+//! Listens on the bus, and hands over what has come.
+
+use super::heard::{Input, Instance};
+use super::topics::{KeyExpressions, OnTopic, input, instance};
+use crate::error::AppError;
+use spandrel_bus::{
+    AlertMessage, Bus, BusError, Event, LiveWatch, Name, NoiseDisplay, ParameterDisplay, Service, Status, Subscription,
+};
+use std::collections::BTreeSet;
+use std::time::Duration;
+use tokio::task::JoinSet;
+use tracing::warn;
+
+/// Values that wait for the next redraw; more push out the oldest, which are counted.
+const VALUES_WAITING: usize = 8192;
+/// Alerts and events that wait; there are few, and none must be missed.
+const ALERTS_WAITING: usize = 8192;
+/// Statuses that wait: one a second of each service.
+const STATUSES_WAITING: usize = 1024;
+/// How long the alert services may take to say how the alerts stand.
+const ANSWER_WITHIN: Duration = Duration::from_secs(2);
+
+/// The subscriptions of a view.
+#[derive(Debug)]
+pub struct Listening {
+    bus: Bus,
+    root: Name,
+    expressions: KeyExpressions,
+    parameters: Subscription<ParameterDisplay>,
+    noise: Subscription<NoiseDisplay>,
+    alerts: Subscription<AlertMessage>,
+    events: Subscription<Event>,
+    statuses: Subscription<Status>,
+    live: Vec<LiveWatch>,
+    present: BTreeSet<Instance>,
+    /// Questions how the alerts stand that are not answered yet.
+    asked: JoinSet<Result<Vec<(String, AlertMessage)>, BusError>>,
+}
+
+impl Listening {
+    /// Subscribes, and asks for the last alerts.
+    ///
+    /// # Errors
+    /// The session is closed.
+    pub async fn start(bus: &Bus, root: &Name, structure: Option<&Name>) -> Result<Self, AppError> {
+        let expressions = KeyExpressions::new(root, structure)?;
+        let mut live = Vec::new();
+        for expression in &expressions.live {
+            live.push(bus.watch_live(expression.clone()).await?);
+        }
+        let mut listening = Self {
+            bus: bus.clone(),
+            root: root.clone(),
+            parameters: bus.subscribe(expressions.parameters.clone(), VALUES_WAITING).await?,
+            noise: bus.subscribe(expressions.noise.clone(), VALUES_WAITING).await?,
+            alerts: bus.subscribe(expressions.alerts.clone(), ALERTS_WAITING).await?,
+            events: bus.subscribe(expressions.events.clone(), ALERTS_WAITING).await?,
+            statuses: bus.subscribe(expressions.statuses.clone(), STATUSES_WAITING).await?,
+            live,
+            present: BTreeSet::new(),
+            asked: JoinSet::new(),
+            expressions,
+        };
+        listening.ask();
+        Ok(listening)
+    }
+
+    /// Asks how the alerts stand; the answer comes with what is gathered later.
+    fn ask(&mut self) {
+        let (bus, alerts) = (self.bus.clone(), self.expressions.alerts.clone());
+        self.asked.spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
+    }
+
+    /// Returns what has come since the last time.
+    pub fn gather(&mut self) -> Vec<Input> {
+        let mut inputs = Vec::new();
+        self.gather_present(&mut inputs);
+        drain(&self.root, &self.statuses, &mut inputs);
+        drain(&self.root, &self.parameters, &mut inputs);
+        drain(&self.root, &self.noise, &mut inputs);
+        drain(&self.root, &self.alerts, &mut inputs);
+        drain(&self.root, &self.events, &mut inputs);
+        while let Some(answer) = self.asked.try_join_next() {
+            match answer {
+                Ok(Ok(alerts)) => inputs.extend(alerts.into_iter().map(|(key, alert)| standing(&self.root, &key, alert))),
+                Ok(Err(error)) => warn!(%error, "cannot ask for the last alerts"),
+                Err(error) => warn!(%error, "question for the last alerts is lost"),
+            }
+        }
+        inputs
+    }
+
+    fn gather_present(&mut self, inputs: &mut Vec<Input>) {
+        let keys = self.live.iter().flat_map(LiveWatch::present);
+        let present: BTreeSet<Instance> = keys.filter_map(|key| instance(&self.root, &key)).collect();
+        if present == self.present {
+            return;
+        }
+        // one that has come back, or that was reached again, may stand otherwise than we know
+        let has_new_alert_service =
+            present.difference(&self.present).any(|instance| instance.service == Service::Alert);
+        if has_new_alert_service {
+            self.ask();
+        }
+        self.present.clone_from(&present);
+        inputs.push(Input::Present(present));
+    }
+
+    /// How many messages newer ones have pushed out before they were gathered.
+    pub fn overwritten(&self) -> u64 {
+        let refused = [
+            self.parameters.refused(),
+            self.noise.refused(),
+            self.alerts.refused(),
+            self.events.refused(),
+            self.statuses.refused(),
+        ];
+        refused.iter().flat_map(|reasons| reasons.values()).sum()
+    }
+}
+
+fn drain<M: OnTopic + Send + 'static>(root: &Name, subscription: &Subscription<M>, inputs: &mut Vec<Input>) {
+    inputs.extend(subscription.messages().try_iter().map(|(key, message)| input(root, &key, message)));
+}
+
+fn standing(root: &Name, key: &str, alert: AlertMessage) -> Input {
+    match input(root, key, alert) {
+        Input::Alert(alert) => Input::StandingAlert(alert),
+        other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,155 @@
+//! Joins the view to bus and terminal.
+
+use super::listen::Listening;
+use super::heard::{Heard, Input};
+use super::plain::{alert_line, structure_line};
+use super::screen::Screen;
+use super::view::{Action, View};
+use crate::error::AppError;
+use ratatui::crossterm::event::{Event, KeyEventKind};
+use spandrel_bus::{Acknowledgement, Bus, Keys, Name};
+use std::io::{self, IsTerminal, Write};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use tokio::time::MissedTickBehavior;
+
+/// How often the screen is drawn, and lines are looked for: the display rate.
+const REDRAW_EVERY: Duration = Duration::from_millis(100);
+/// How often a line says how a structure is.
+const LINE_EVERY: Duration = Duration::from_secs(1);
+
+/// Shows one structure, or all below the root, until `stop` or until the person quits.
+///
+/// On a terminal it is a screen with keys, otherwise lines on standard output.
+///
+/// # Errors
+/// The session is closed, or the terminal is gone.
+pub async fn show(
+    bus: &Bus,
+    root: &Name,
+    structure: Option<&Name>,
+    stop: impl Future<Output = ()>,
+) -> Result<(), AppError> {
+    let listening = Listening::start(bus, root, structure).await?;
+    if io::stdout().is_terminal() {
+        show_screen(bus, root, listening, stop).await
+    } else {
+        print_lines(listening, stop).await
+    }
+}
+
+async fn show_screen(
+    bus: &Bus,
+    root: &Name,
+    mut listening: Listening,
+    stop: impl Future<Output = ()>,
+) -> Result<(), AppError> {
+    tokio::pin!(stop);
+    let mut view = View::new(std::env::var("USER").unwrap_or_default());
+    let mut screen = Screen::open()?;
+    let clock = Clock::start();
+    let mut redraw = tokio::time::interval(REDRAW_EVERY);
+    redraw.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    loop {
+        let event = tokio::select! {
+            biased;
+            () = &mut stop => return Ok(()),
+            event = screen.event() => Some(event?),
+            _ = redraw.tick() => None,
+        };
+        view.heard.handle(Input::Now(clock.elapsed()), &mut Vec::new());
+        for input in listening.gather() {
+            view.heard.handle(input, &mut Vec::new());
+        }
+        view.set_overwritten(listening.overwritten());
+        let action = match event {
+            Some(Event::Key(key)) if key.kind != KeyEventKind::Release => view.key(key),
+            _ => None,
+        };
+        match action {
+            Some(Action::Quit) => return Ok(()),
+            Some(Action::Acknowledge { structure, parameter, who, note }) => {
+                let text = format!("acknowledgement of {structure}/{parameter} sent");
+                let acknowledgement = Acknowledgement { structure, parameter, time_ns: wall_clock_ns(), who, note };
+                acknowledge(bus, root, &acknowledgement).await?;
+                view.notify(text);
+            }
+            None => {}
+        }
+        screen.draw(&view)?;
+    }
+}
+
+async fn acknowledge(bus: &Bus, root: &Name, acknowledgement: &Acknowledgement) -> Result<(), AppError> {
+    let keys = Keys::new(root.clone(), acknowledgement.structure.clone());
+    let publisher = bus.publish_display(keys.acknowledge(&acknowledgement.parameter)).await?;
+    Ok(publisher.put(acknowledgement).await?)
+}
+
+async fn print_lines(mut listening: Listening, stop: impl Future<Output = ()>) -> Result<(), AppError> {
+    tokio::pin!(stop);
+    let mut heard = Heard::default();
+    let clock = Clock::start();
+    let mut look = tokio::time::interval(REDRAW_EVERY);
+    look.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    let mut next_line = LINE_EVERY;
+    loop {
+        let is_last = tokio::select! {
+            biased;
+            () = &mut stop => true,
+            _ = look.tick() => false,
+        };
+        let now = clock.elapsed();
+        let mut changes = Vec::new();
+        heard.handle(Input::Now(now), &mut changes);
+        for input in listening.gather() {
+            heard.handle(input, &mut changes);
+        }
+        let mut lines: Vec<String> = changes.iter().map(alert_line).collect();
+        if is_last || now >= next_line {
+            next_line = now + LINE_EVERY;
+            lines.extend(heard.structures().map(|(name, structure)| structure_line(&heard, name, structure)));
+        }
+        if print(&lines)? == Reader::Gone || is_last {
+            return Ok(());
+        }
+    }
+}
+
+/// Whoever reads standard output.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Reader {
+    There,
+    /// As in `| head`: no error, but nothing more to do.
+    Gone,
+}
+
+fn print(lines: &[String]) -> Result<Reader, AppError> {
+    let mut stdout = io::stdout().lock();
+    let written = lines.iter().try_for_each(|line| writeln!(stdout, "{line}")).and_then(|()| stdout.flush());
+    match written {
+        Ok(()) => Ok(Reader::There),
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(Reader::Gone),
+        Err(source) => Err(AppError::Io { what: "cannot write to standard output".to_owned(), source }),
+    }
+}
+
+/// Time since the view was opened: what staleness is measured on.
+struct Clock(Instant);
+
+impl Clock {
+    fn start() -> Self {
+        #[expect(clippy::disallowed_methods, reason = "a view tells how long it has heard nothing")]
+        let now = Instant::now();
+        Self(now)
+    }
+
+    fn elapsed(&self) -> Duration {
+        self.0.elapsed()
+    }
+}
+
+fn wall_clock_ns() -> i64 {
+    #[expect(clippy::disallowed_methods, reason = "an acknowledgement says when it was given")]
+    let now = SystemTime::now();
+    now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64)
+}

@@ -1,0 +1,162 @@
+//! What is listened to: the key expressions of one structure or of all, and what a message says of its own key.
+
+use super::heard::{Input, Instance};
+use spandrel_bus::{
+    AlertMessage, Event, Keys, Message, Name, NameError, NoiseDisplay, ParameterDisplay, Service, Status, Topic, parse_key,
+};
+
+/// The key expressions of what people look at.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KeyExpressions {
+    pub parameters: String,
+    pub noise: String,
+    pub alerts: String,
+    pub events: String,
+    pub statuses: String,
+    pub live: Vec<String>,
+}
+
+impl KeyExpressions {
+    /// Those of one structure, or of all below the root.
+    ///
+    /// # Errors
+    /// Never in practice: the structure that stands for all has a valid name.
+    pub fn new(root: &Name, structure: Option<&Name>) -> Result<Self, NameError> {
+        /// Any name will do: it is replaced in each key expression.
+        const ANY: &str = "any";
+        let keys = match structure {
+            Some(structure) => Keys::new(root.clone(), structure.clone()),
+            None => Keys::new(root.clone(), Name::new(ANY)?),
+        };
+        let expression = |key: String| match structure {
+            Some(_) => key,
+            None => key.replacen(&format!("{root}/{ANY}/"), &format!("{root}/*/"), 1),
+        };
+        Ok(Self {
+            parameters: expression(keys.all_parameters()),
+            noise: expression(keys.all_noise()),
+            alerts: expression(keys.all_alerts()),
+            events: expression(keys.event()),
+            statuses: expression(keys.all_statuses()),
+            live: Service::ALL.iter().map(|service| expression(keys.all_live(*service))).collect(),
+        })
+    }
+}
+
+/// A message that says which structure and topic it is about, as its key does.
+pub trait OnTopic: Message {
+    fn topic(&self) -> Option<(&Name, Topic)>;
+    fn into_input(self) -> Input;
+}
+
+impl OnTopic for ParameterDisplay {
+    fn topic(&self) -> Option<(&Name, Topic)> {
+        Some((&self.structure, Topic::Parameter(self.parameter.clone())))
+    }
+
+    fn into_input(self) -> Input {
+        Input::Parameter(self)
+    }
+}
+
+impl OnTopic for NoiseDisplay {
+    fn topic(&self) -> Option<(&Name, Topic)> {
+        Some((&self.structure, Topic::Noise(self.name.clone())))
+    }
+
+    fn into_input(self) -> Input {
+        Input::Noise(self)
+    }
+}
+
+impl OnTopic for AlertMessage {
+    fn topic(&self) -> Option<(&Name, Topic)> {
+        Some((&self.structure, Topic::Alert(self.parameter.clone())))
+    }
+
+    fn into_input(self) -> Input {
+        Input::Alert(self)
+    }
+}
+
+impl OnTopic for Event {
+    fn topic(&self) -> Option<(&Name, Topic)> {
+        Some((&self.structure, Topic::Event))
+    }
+
+    fn into_input(self) -> Input {
+        Input::Event(self)
+    }
+}
+
+impl OnTopic for Status {
+    fn topic(&self) -> Option<(&Name, Topic)> {
+        let service = Service::ALL.into_iter().find(|service| service.as_str() == self.service.as_str())?;
+        Some((&self.structure, Topic::Status(service, self.id.clone())))
+    }
+
+    fn into_input(self) -> Input {
+        Input::Status(self)
+    }
+}
+
+/// A received message as an input; [`Input::Misplaced`] if its key says something else than its content.
+pub fn input<M: OnTopic>(root: &Name, key: &str, message: M) -> Input {
+    let of_key = parse_key(root, key);
+    let is_in_place = message.topic().is_some_and(|(structure, topic)| {
+        of_key.is_some_and(|(key_structure, key_topic)| (structure, topic) == (&key_structure, key_topic))
+    });
+    if is_in_place { message.into_input() } else { Input::Misplaced }
+}
+
+/// Who a liveliness token stands for.
+pub fn instance(root: &Name, key: &str) -> Option<Instance> {
+    match parse_key(root, key)? {
+        (structure, Topic::Live(service, id)) => Some(Instance { structure, service, id }),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{alert, name, status};
+    use super::*;
+    use spandrel_bus::AlertState;
+
+    #[test]
+    fn expressions_of_one_structure_are_those_of_its_keys() {
+        let expressions = KeyExpressions::new(&name("spandrel"), Some(&name("tower"))).unwrap();
+        assert_eq!(expressions.parameters, "spandrel/tower/parameter/*");
+        assert_eq!(expressions.events, "spandrel/tower/event");
+    }
+
+    #[test]
+    fn expressions_of_all_structures_leave_the_structure_open() {
+        let expressions = KeyExpressions::new(&name("any"), None).unwrap();
+        assert_eq!(expressions.parameters, "any/*/parameter/*");
+        assert_eq!(expressions.noise, "any/*/noise/*");
+        assert_eq!(expressions.alerts, "any/*/alert/*");
+        assert_eq!(expressions.events, "any/*/event");
+        assert_eq!(expressions.statuses, "any/*/status/*/*");
+        assert!(expressions.live.contains(&"any/*/live/sensor/*".to_owned()));
+    }
+
+    #[test]
+    fn a_message_on_the_key_of_another_is_misplaced() {
+        let root = name("spandrel");
+        let raised = alert("storey-2", 0, AlertState::Raised);
+        assert_eq!(input(&root, "spandrel/tower/alert/storey-2", raised.clone()), Input::Alert(raised.clone()));
+        assert_eq!(input(&root, "spandrel/tower/alert/storey-1", raised.clone()), Input::Misplaced);
+        assert_eq!(input(&root, "spandrel/bridge/alert/storey-2", raised), Input::Misplaced);
+        let mut unknown = status(Service::Ingest, 0.0, &[]);
+        unknown.service = name("nobody");
+        assert_eq!(input(&root, "spandrel/tower/status/nobody/a", unknown), Input::Misplaced);
+    }
+
+    #[test]
+    fn a_token_names_its_instance() {
+        let expected = Instance { structure: name("tower"), service: Service::Sensor, id: name("floor-1") };
+        assert_eq!(instance(&name("spandrel"), "spandrel/tower/live/sensor/floor-1"), Some(expected));
+        assert_eq!(instance(&name("spandrel"), "spandrel/tower/frames"), None);
+    }
+}
