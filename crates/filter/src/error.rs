@@ -33,11 +33,11 @@ pub enum FilterError {
         pivot: usize,
     },
     /// A state or a variance is no longer finite; the filter must be restarted.
-    #[error("{what} of state {index} is not finite")]
+    #[error("{what} {index} is not finite")]
     NotFinite {
-        /// `mean` or `variance`.
+        /// What is not finite: mean or variance of a state, a noise level, the normalised innovation.
         what: &'static str,
-        /// The entry of the state.
+        /// Which one, from 0.
         index: usize,
     },
     /// A variance has become negative beyond rounding; the filter must be restarted.

@@ -268,6 +268,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let noise_events = self.predict_observation(frame);
         let used = update::leave_out_missing(&mut self.work.update, &mut self.work.h_p);
         let evidence = update::factorise(&mut self.work.update, used)?;
+        if !evidence.log_evidence.is_finite() {
+            return Err(FilterError::NotFinite { what: "normalised innovation", index: 0 });
+        }
         update::correct(
             &self.model,
             &mut self.work.mean,
@@ -555,14 +558,17 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     }
 
     fn check_result(&mut self) -> Result<(), FilterError> {
+        if let Some(index) = self.state.noise.mean.iter().position(|level| !level.is_finite()) {
+            return Err(FilterError::NotFinite { what: "noise level", index });
+        }
         let work = &mut self.work;
         for index in 0..work.mean.len() {
             if !work.mean[index].is_finite() {
-                return Err(FilterError::NotFinite { what: "mean", index });
+                return Err(FilterError::NotFinite { what: "mean of state", index });
             }
             let variance = work.covariance[(index, index)];
             if !variance.is_finite() {
-                return Err(FilterError::NotFinite { what: "variance", index });
+                return Err(FilterError::NotFinite { what: "variance of state", index });
             }
             if variance < 0.0 {
                 let largest = work.covariance.diagonal().max();

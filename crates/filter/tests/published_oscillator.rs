@@ -1,5 +1,7 @@
 //! Huang & Yuen (2023), §2.4.1: the oscillator whose frequency and damping start far off.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
 mod systems;
 
 use nalgebra::{DMatrix, DVector};
@@ -7,6 +9,7 @@ use spandrel_filter::{ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame,
 use systems::{Normal, Oscillator, rms};
 
 const STEP_S: f64 = 0.005;
+#[expect(clippy::approx_constant, reason = "the printed value")]
 const FREQUENCY: f64 = 0.7071;
 const DAMPING: f64 = 0.01;
 

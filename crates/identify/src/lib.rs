@@ -18,4 +18,4 @@ pub mod shell;
 pub use error::IdentifyError;
 pub use identification::{Identification, Input, Output};
 pub use pool::FilterPool;
-pub use shell::{ESTIMATES_KEPT, IdentifyService};
+pub use shell::{ESTIMATES_KEPT, IdentifyService, log_event};

@@ -4,9 +4,9 @@ use crate::error::IdentifyError;
 use crate::identification::{Identification, Input, Output};
 use crate::pool::FilterPool;
 use spandrel_bus::{
-    Bus, Delivery, Description, DisplayPublisher, EstimateBlock, Event, FrameBlock, Keys, LatestPublisher, LiveToken,
-    Name, NoiseDisplay, NumberedPublisher, NumberedStream, ParameterDisplay, ProgressPublisher, Service, Start, Status,
-    Stream, StreamSettings, StreamState,
+    Bus, Delivery, Description, DisplayPublisher, EstimateBlock, Event, EventKind, FrameBlock, Keys, LatestPublisher,
+    LiveToken, Name, NoiseDisplay, NumberedPublisher, NumberedStream, ParameterDisplay, ProgressPublisher, Service,
+    Start, Status, Stream, StreamSettings, StreamState,
 };
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
@@ -19,6 +19,9 @@ pub const ESTIMATES_KEPT: u64 = 32_768;
 
 /// How often the status is put.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
+
+/// After a stop, frames are waited for until none has come for this long.
+const LAST_FRAMES: Duration = Duration::from_millis(100);
 
 /// The identification service of one structure.
 #[derive(Debug)]
@@ -114,8 +117,8 @@ impl IdentifyService {
         let mut status = tokio::time::interval(STATUS_EVERY);
         let deliveries = self.frames.deliveries().clone();
         loop {
+            // Not biased: at full speed frames never stop, and status and stop must still get their turn.
             tokio::select! {
-                biased; // frames first: what has arrived is still identified
                 delivery = deliveries.recv_async() => match delivery {
                     Ok(delivery) => self.take(delivery).await?,
                     Err(flume::RecvError::Disconnected) => break,
@@ -123,6 +126,10 @@ impl IdentifyService {
                 _ = status.tick() => self.put_status().await?,
                 () = &mut stop => break,
             }
+        }
+        // Ingest has stopped before: what it put last may still be on its way through the reader.
+        while let Ok(Ok(delivery)) = tokio::time::timeout(LAST_FRAMES, deliveries.recv_async()).await {
+            self.take(delivery).await?;
         }
         if let Some(token) = self.token.take() {
             token.withdraw().await?;
@@ -180,7 +187,7 @@ impl IdentifyService {
                 }
             }
             Output::Event(event) => {
-                warn!(structure = event.structure.as_str(), what = event.what, why = event.why, "event");
+                log_event(&event);
                 self.events.put(&event).await?;
             }
         }
@@ -204,5 +211,18 @@ impl IdentifyService {
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
         Ok(self.status.put(&status).await?)
+    }
+}
+
+/// Logs an event: what was mended or lost as a warning, what belongs to normal work as information.
+pub fn log_event(event: &Event) {
+    let structure = event.structure.as_str();
+    match event.kind {
+        EventKind::Calibration | EventKind::LeadingClass | EventKind::NodeBack | EventKind::ChannelBack => {
+            info!(structure, what = event.what, why = event.why, "event");
+        }
+        EventKind::Restart | EventKind::NodeExcluded | EventKind::ChannelExcluded | EventKind::Gap => {
+            warn!(structure, what = event.what, why = event.why, "event");
+        }
     }
 }

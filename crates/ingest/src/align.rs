@@ -139,6 +139,10 @@ impl Alignment {
         if self.run.take().is_some() {
             self.epoch += 1;
         }
+        // What waits belongs to the new run; what has been before does not show how far a node is in it.
+        for queue in &mut self.queues {
+            queue.newest_ns = queue.last_waiting_ns();
+        }
     }
 
     /// Whether a block belongs to frames that are closed, and not just because it is late.
@@ -203,7 +207,8 @@ impl Alignment {
         let mut waits = false;
         for queue in &mut self.queues {
             let number = first_usable(queue, run, self.layout.tolerance_ns(), &mut self.counts);
-            waits |= number.is_none() && queue.presence == Presence::Expected;
+            let passed = number.is_some() || has_passed(queue, run);
+            waits |= !passed && queue.presence == Presence::Expected;
             earliest = earliest.into_iter().chain(number).min();
         }
         let Some(earliest) = earliest else {
@@ -227,8 +232,11 @@ impl Alignment {
             first += queue.channels();
             match queue.first_ns() {
                 Some(time_ns) if run.grid.nearest(time_ns) == run.next as i64 => queue.pop_into(frame),
-                // An ended node is not missing; that it has ended may be known now or later, hence the first condition.
-                later => self.counts.missing += u64::from(later.is_some() || queue.presence == Presence::Expected),
+                // Whether an ended node is known to have ended depends on the order of arrival; what it has passed does not.
+                _ => {
+                    let was_there = has_passed(queue, run) || queue.presence == Presence::Expected;
+                    self.counts.missing += u64::from(was_there);
+                }
             }
         }
         run.next += 1;
@@ -285,6 +293,11 @@ enum NextFrame {
     Close,
     /// The next sample of any node is too far away.
     NewRun,
+}
+
+/// Whether the node has delivered something later than the next frame, be it usable or not.
+fn has_passed(queue: &NodeQueue, run: &Run) -> bool {
+    queue.newest_ns.is_some_and(|newest| run.grid.nearest(newest) > run.next as i64)
 }
 
 /// Number of the frame of the first sample that can still be used; those before it are dropped and counted.

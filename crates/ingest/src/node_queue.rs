@@ -29,6 +29,8 @@ pub(crate) struct NodeQueue {
     times_ns: VecDeque<i64>,
     values: VecDeque<f64>,
     pub(crate) presence: Presence,
+    /// Time of the newest sample of the node, usable or not, ns: frames before it need not wait.
+    pub(crate) newest_ns: Option<i64>,
     /// Epoch of the node's last block.
     pub(crate) epoch: Option<u64>,
     /// Blocks of a time long gone, put aside until it is clear whether all nodes have gone back to it.
@@ -42,6 +44,7 @@ impl NodeQueue {
             times_ns: VecDeque::new(),
             values: VecDeque::new(),
             presence: Presence::Expected,
+            newest_ns: None,
             epoch: None,
             parked: VecDeque::new(),
         }
@@ -54,6 +57,11 @@ impl NodeQueue {
     /// Time of the first sample that waits, ns.
     pub(crate) fn first_ns(&self) -> Option<i64> {
         self.times_ns.front().copied()
+    }
+
+    /// Time of the last sample that waits, ns.
+    pub(crate) fn last_waiting_ns(&self) -> Option<i64> {
+        self.times_ns.back().copied()
     }
 
     pub(crate) fn is_parked(&self) -> bool {
@@ -92,6 +100,7 @@ impl NodeQueue {
                 self.values.truncate(self.values.len() - self.channels());
                 counts.retracted += 1;
             }
+            self.newest_ns = Some(time_ns);
             if self.times_ns.len() >= MAX_WAITING {
                 counts.overflowed += 1;
                 continue;

@@ -92,7 +92,7 @@ impl Chain {
                     self.collector.take_estimates(&estimates);
                     take(&estimates)?;
                 }
-                Output::Event(event) => tracing::warn!(what = event.what, why = event.why, "event"),
+                Output::Event(event) => spandrel_identify::log_event(&event),
                 Output::Parameter(_) | Output::Noise(_) => {} // for people who watch a bus
             }
         }

@@ -13,6 +13,8 @@ pub(crate) struct FilterPlan {
     pub(crate) noise_half_life_s: f64,
     /// Standard deviation of a noise level at the start, relative to it.
     pub(crate) noise_prior_std: f64,
+    /// No noise level falls below this share of its start (standard deviations).
+    pub(crate) noise_floor: f64,
     pub(crate) annealing: Annealing,
     /// A parameter's variance is kept below this times its prior variance.
     pub(crate) variance_bound: f64,
@@ -40,6 +42,8 @@ impl Default for FilterPlan {
             noise_half_life_s: 10.0,
             // three standard deviations reach zero: Huang & Yuen (2023), §3.2
             noise_prior_std: 1.0 / 3.0,
+            // a quiet hour must not make the filter believe the first seconds of shaking a hundredfold
+            noise_floor: 0.1,
             // start-up: spec of chapter 2, §3.6; tolerates parameters that are 30 % off
             annealing: Annealing { amount: 100.0, time_s: 2.0 },
             variance_bound: 1.0,

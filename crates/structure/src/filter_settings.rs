@@ -11,6 +11,10 @@ use std::f64::consts::PI;
 /// Periods of the fundamental mode before the training of the noise levels may end: Huang & Yuen (2023), (3.31).
 const TRAINING_PERIODS: f64 = 10.0;
 
+/// Training ends without further waiting after this many times its least length: with one level and few channels the
+/// source's own rule may never fire.
+const TRAINING_LIMIT: u64 = 4;
+
 impl Structure {
     /// Returns the settings of the filter for [`Structure::model`].
     ///
@@ -36,6 +40,9 @@ impl Structure {
             rule: plan.noise_rule,
             fading: fading(plan.noise_half_life_s)?.value(),
             training_steps: self.training_steps(),
+            training_limit_steps: TRAINING_LIMIT * self.training_steps(),
+            // a level is a variance; zero would never move again
+            floor: self.plan.noise_floor.powi(2).max(NoiseSettings::default().floor),
             ..NoiseSettings::default()
         };
         settings.annealing = (plan.annealing.amount > 0.0)

@@ -1,5 +1,7 @@
 //! A model answers the filter without allocating, whatever its kind.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
 use nalgebra::DMatrix;
 use spandrel_filter::{ObservationModel, ProcessModel};
 use spandrel_structure::Structure;

@@ -134,7 +134,7 @@ impl Objective {
     fn factorise(&mut self, psi: &DVector<f64>) -> bool {
         self.factor.copy_from(&self.known);
         for (pattern, level) in self.patterns.iter().zip(psi.iter()) {
-            if !(*level > 0.0) {
+            if *level <= 0.0 || level.is_nan() {
                 return false;
             }
             for (entry, weight) in self.factor.iter_mut().zip(pattern.iter()) {

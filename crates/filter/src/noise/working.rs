@@ -72,6 +72,9 @@ impl NoiseState {
         // A structure that begins to shake exceeds by far what the model explained while it was quiet. Until the level has
         // followed, the parameters would take the blame: it may follow at once, but never beyond what this frame shows.
         let excess = objective.whitened_norm_squared() / objective.used_channels() as f64;
+        if !excess.is_finite() {
+            return false; // no level explains such a frame; the filter will find that it has diverged
+        }
         let upward = LARGEST_LOGARITHMIC_STEP.max(excess.ln());
         let mut step = std::mem::take(&mut objective.scratch.step);
         for l in 0..count {

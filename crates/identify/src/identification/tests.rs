@@ -1,1 +1,159 @@
+use super::*;
+use proptest::prelude::*;
+use spandrel_bus::Block;
+use std::path::Path;
 
+fn structure() -> Structure {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
+    Structure::read(&path).unwrap()
+}
+
+/// Simulated frames of the demo's building in one block.
+fn frames(count: usize) -> FrameBlock {
+    let values = structure().simulator(5).take(count).flat_map(|frame| frame.values).collect();
+    FrameBlock {
+        header: Header { source: "ingest".into(), epoch: 7, sequence: 0, time_ns: 0 },
+        t0_ns: 0,
+        sampling_rate_hz: 100.0,
+        channels: 6,
+        values,
+        state: StreamState::Running,
+    }
+}
+
+fn run(blocks: Vec<FrameBlock>) -> Vec<Output> {
+    let mut core = Identification::new(&structure(), "identify").unwrap();
+    let mut outputs = Vec::new();
+    blocks.into_iter().for_each(|block| core.handle(Input::Frames(block), &mut outputs));
+    outputs
+}
+
+fn estimates(outputs: &[Output]) -> Vec<&Estimate> {
+    let blocks = outputs.iter().filter_map(|output| match output {
+        Output::Estimates(block) => Some(block),
+        _ => None,
+    });
+    blocks.flat_map(|block| &block.estimates).collect()
+}
+
+fn events(outputs: &[Output]) -> Vec<&Event> {
+    outputs.iter().filter_map(|output| if let Output::Event(event) = output { Some(event) } else { None }).collect()
+}
+
+/// Cuts a block at the given lengths, the rest in one.
+fn cut(mut block: FrameBlock, lengths: &[u64]) -> Vec<FrameBlock> {
+    let mut blocks = Vec::new();
+    for &length in lengths {
+        let mut head = block.clone();
+        head.truncate(length);
+        block.skip(length);
+        blocks.push(head);
+    }
+    blocks.push(block);
+    blocks
+}
+
+#[test]
+fn each_frame_gives_one_numbered_estimate() {
+    let outputs = run(cut(frames(300), &[1, 99]));
+    let numbers: Vec<_> = outputs
+        .iter()
+        .filter_map(|output| match output {
+            Output::Estimates(block) => Some((block.header.sequence, block.estimates.len(), block.header.epoch)),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(numbers, [(0, 1, 7), (1, 99, 7), (100, 200, 7)]);
+    let last = estimates(&outputs)[299];
+    assert_eq!((last.mean.len(), last.covariance.len(), last.innovations.len()), (5, 15, 5));
+    assert!(last.variance(4).unwrap() > 0.0);
+}
+
+#[test]
+fn parameters_are_displayed_ten_times_a_second_of_measurement() {
+    let outputs = run(vec![frames(300)]);
+    let displayed = outputs.iter().filter(|output| matches!(output, Output::Parameter(_))).count();
+    let noise = outputs.iter().filter(|output| matches!(output, Output::Noise(_))).count();
+    assert_eq!((displayed, noise), (30 * 5, 30));
+}
+
+#[test]
+fn diverged_filter_is_restarted_and_says_so() {
+    let mut block = frames(300);
+    block.values[200 * 6 + 3] = 1e300; // finite, but no filter survives it
+    let outputs = run(vec![block]);
+    let estimates = estimates(&outputs);
+    assert!(estimates[200].flags.restarted && !estimates[201].flags.restarted);
+    assert!(estimates.iter().all(|estimate| estimate.mean.iter().all(|mean| mean.is_finite())));
+    let restarts: Vec<_> = events(&outputs).into_iter().filter(|event| event.kind == EventKind::Restart).collect();
+    assert_eq!(restarts.len(), 1);
+    assert_eq!(restarts[0].time_ns, 2_000_000_000);
+    assert!(!restarts[0].why.is_empty());
+}
+
+#[test]
+fn lost_frames_are_bridged_and_numbering_goes_on() {
+    let mut core = Identification::new(&structure(), "identify").unwrap();
+    let mut outputs = Vec::new();
+    let mut blocks = cut(frames(400), &[200, 50]);
+    let after = blocks.pop().unwrap();
+    core.handle(Input::Frames(blocks.remove(0)), &mut outputs);
+    core.handle(Input::Gap { from: 200, to: 250 }, &mut outputs);
+    core.handle(Input::Frames(after), &mut outputs);
+    let estimates = estimates(&outputs);
+    assert_eq!((estimates.len(), core.done()), (400, 400));
+    assert!(estimates[200..250].iter().all(|estimate| estimate.flags.prediction_only));
+    assert!(!estimates[250].flags.prediction_only);
+    assert_eq!(estimates[199].mean, estimates[249].mean, "parameters stand still in predictions");
+    assert_eq!(events(&outputs)[0].kind, EventKind::Gap);
+}
+
+#[test]
+fn motion_is_forgotten_over_a_gap_too_long_to_bridge() {
+    let mut core = Identification::new(&structure(), "identify").unwrap();
+    let mut outputs = Vec::new();
+    core.handle(Input::Frames(frames(3000)), &mut outputs);
+    let before = core.filter().mean().clone();
+    core.handle(Input::Gap { from: 3000, to: 9000 }, &mut outputs);
+    assert_eq!(estimates(&outputs).len(), 9000);
+    let after = core.filter().mean();
+    assert!(after.rows(0, 10).iter().all(|entry| *entry == 0.0), "the motion is back at its prior");
+    assert_eq!(after.rows(10, 5), before.rows(10, 5), "the parameters are kept");
+}
+
+#[test]
+fn new_epoch_of_frames_keeps_the_parameters() {
+    let mut again = frames(200);
+    again.header.epoch = 8;
+    let outputs = run(vec![frames(2000), again]);
+    let estimates = estimates(&outputs);
+    assert_eq!(estimates.len(), 2200);
+    let moved = (estimates[2000].mean[0] - estimates[1999].mean[0]).abs();
+    assert!(moved < 3.0 * estimates[1999].variance(0).unwrap().sqrt(), "moved by {moved}");
+    assert!(events(&outputs).iter().any(|event| event.kind == EventKind::Restart && event.why.contains("epoch")));
+}
+
+#[test]
+fn missing_ground_motion_widens_the_prediction_of_its_step() {
+    let mut block = frames(1000);
+    for frame in 500..520 {
+        block.values[frame * 6] = f64::NAN; // the ground
+    }
+    let outputs = run(vec![block]);
+    let estimates = estimates(&outputs);
+    assert!(estimates.iter().all(|estimate| !estimate.flags.restarted && estimate.used_channels == 5));
+    // the filter knows that it does not know: no innovation of that stretch is absurd
+    let worst = estimates[500..530].iter().map(|e| e.normalised_innovation_squared).fold(0.0, f64::max);
+    assert!(worst < 30.0, "normalised innovation squared of {worst}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn other_blocks_give_the_same_estimates_to_the_bit(lengths in prop::collection::vec(1_u64..120, 0..5)) {
+        let whole = run(vec![frames(500)]);
+        let parts = run(cut(frames(500), &lengths));
+        prop_assert_eq!(estimates(&whole), estimates(&parts));
+    }
+}

@@ -202,6 +202,15 @@ fn a_sample_outside_the_tolerance_belongs_to_no_frame() {
 }
 
 #[test]
+fn a_node_whose_samples_are_all_outside_the_tolerance_does_not_stop_the_others() {
+    let nodes = layout(&[1, 1]).nodes().to_vec();
+    let mut alignment = Alignment::new(Layout::new(nodes, 100.0, 0.001).unwrap(), "ingest".into(), 1);
+    let inputs = vec![(1, block(1, T0 + STEP / 4, &[10.0, 20.0, 30.0])), (0, block(0, T0, &[1.0, 2.0, 3.0]))];
+    assert_eq!(values(&feed(&mut alignment, inputs)), [1.0, -1.0, 2.0, -1.0]);
+    assert_eq!(alignment.counts().off_grid, 3);
+}
+
+#[test]
 fn a_clock_far_ahead_does_not_stop_the_others() {
     let mut alignment = alignment(&[1, 1]);
     let inputs = vec![

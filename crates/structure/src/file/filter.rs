@@ -21,6 +21,7 @@ pub(super) fn read_filter(section: Option<Section<'_>>) -> FilterPlan {
     // one memory for both unless the file has two, as in the source
     plan.noise_half_life_s = section.number_or("noise-half-life-s", Allowed::POSITIVE, plan.half_life_s);
     plan.noise_prior_std = section.number_or("noise-prior-std", Allowed::POSITIVE, plan.noise_prior_std);
+    plan.noise_floor = section.number_or("noise-floor", Allowed::NOT_NEGATIVE, plan.noise_floor);
     plan.annealing = Annealing {
         amount: section.number_or("annealing-amount", Allowed::NOT_NEGATIVE, plan.annealing.amount),
         time_s: section.number_or("annealing-time-s", Allowed::POSITIVE, plan.annealing.time_s),
