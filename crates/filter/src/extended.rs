@@ -133,6 +133,8 @@ pub struct Step {
     pub noise_phase: NoisePhase,
     /// The training of the noise parameters ended at this step.
     pub training_ended: bool,
+    /// The training of the noise parameters should have ended at this step, but a level is still uncertain.
+    pub training_overdue: bool,
     /// The noise parameters went back to training at this step, because the innovations kept disagreeing with them.
     pub training_restarted: bool,
 }
@@ -291,6 +293,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             bounded_variances,
             noise_phase: self.state.noise.phase,
             training_ended: noise_events.training_ended,
+            training_overdue: noise_events.training_overdue,
             training_restarted: noise_events.training_restarted,
         })
     }

@@ -175,6 +175,8 @@ pub enum NoisePhase {
 pub struct NoiseEvents {
     /// Training ended at this step.
     pub training_ended: bool,
+    /// Training has reached its limit at this step, and cannot end: a level is still uncertain.
+    pub training_overdue: bool,
     /// The innovations had disagreed with their covariance for so long that training began anew.
     pub training_restarted: bool,
 }
@@ -278,6 +280,9 @@ impl NoiseState {
                     self.phase = NoisePhase::Working;
                     self.misfit = Misfit { mean: 1.0, steps: 0 };
                     events.training_ended = true;
+                } else {
+                    let limit = settings.training_limit_steps;
+                    events.training_overdue = limit > 0 && self.training_step == limit;
                 }
             }
             NoisePhase::Working => {

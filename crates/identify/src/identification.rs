@@ -291,10 +291,23 @@ impl Identification {
             let why = "their relative deviations are below 10 % and the innovations agree with them";
             outputs.push(self.event(time_ns, EventKind::Calibration, "noise levels trained", why));
         }
+        if step.training_overdue {
+            let name = self.most_uncertain_level();
+            let why = format!("the level of {name} is hardly informed by these sensors; see spandrel check");
+            let what = "noise levels still in training: no alert is decided on";
+            outputs.push(self.event(time_ns, EventKind::Unidentified, what, &why));
+        }
         if step.training_restarted {
             let why = "the innovations kept disagreeing with their covariance";
             outputs.push(self.event(time_ns, EventKind::Calibration, "noise levels back in training", why));
         }
+    }
+
+    fn most_uncertain_level(&self) -> &str {
+        let noise = self.filter.noise();
+        let relative = |l: usize| noise.covariance[(l, l)] / (noise.mean[l] * noise.mean[l]);
+        let most = (0..self.noise_names.len()).max_by(|a, b| relative(*a).total_cmp(&relative(*b)));
+        most.map_or("a sensor", |l| self.noise_names[l].as_str())
     }
 
     fn estimate(&self, step: Option<Step>, restarted: bool) -> Estimate {

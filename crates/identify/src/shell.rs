@@ -221,7 +221,11 @@ pub fn log_event(event: &Event) {
         EventKind::Calibration | EventKind::LeadingClass | EventKind::NodeBack | EventKind::ChannelBack => {
             info!(structure, what = event.what, why = event.why, "event");
         }
-        EventKind::Restart | EventKind::NodeExcluded | EventKind::ChannelExcluded | EventKind::Gap => {
+        EventKind::Restart
+        | EventKind::Unidentified
+        | EventKind::NodeExcluded
+        | EventKind::ChannelExcluded
+        | EventKind::Gap => {
             warn!(structure, what = event.what, why = event.why, "event");
         }
     }

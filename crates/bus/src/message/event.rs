@@ -13,6 +13,8 @@ pub enum EventKind {
     Restart,
     /// A reference or a noise parameter was calibrated.
     Calibration,
+    /// A noise level or parameter stays unknown: the data do not inform it.
+    Unidentified,
     /// Another model class leads.
     LeadingClass,
     /// A node is no longer waited for.

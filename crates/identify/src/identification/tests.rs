@@ -147,6 +147,24 @@ fn missing_ground_motion_widens_the_prediction_of_its_step() {
     assert!(worst < 30.0, "normalised innovation squared of {worst}");
 }
 
+#[test]
+fn level_that_is_never_known_is_told_once() {
+    // output only, and the file asks to adapt the level of the ground motion: training cannot end
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/output-only.toml");
+    let text = std::fs::read_to_string(&path).unwrap().replace("adapt = false", "adapt = true");
+    let structure = Structure::parse(&text, &path).unwrap();
+    let mut core = Identification::new(&structure, "identify").unwrap();
+    let mut block = frames(1);
+    block.channels = structure.channel_count() as u16;
+    block.values = structure.simulator(1).take(9000).flat_map(|frame| frame.values).collect();
+    let mut outputs = Vec::new();
+    core.handle(Input::Frames(block), &mut outputs);
+    let told: Vec<_> = events(&outputs).into_iter().filter(|e| e.kind == EventKind::Unidentified).collect();
+    assert_eq!(told.len(), 1);
+    assert!(told[0].why.contains("ground"), "{}", told[0].why);
+    assert_eq!(estimates(&outputs)[8999].flags.phase, Phase::Training);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 

@@ -118,7 +118,7 @@ impl fmt::Display for Finding {
             Self::LevelConfounded { parameter, level, correlation, shift, adapted } => {
                 write!(
                     f,
-                    "{parameter} and the level of {level} are hard to tell apart by these sensors: a level stated 10 % too \
+                    "{parameter} and the level of {level} cannot be told apart reliably by these sensors: a level stated 10 % too \
                      high shifts {parameter} by {:+.1} % (correlation {correlation:.2})",
                     100.0 * shift
                 )?;
