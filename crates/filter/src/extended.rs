@@ -152,6 +152,8 @@ pub struct FilterState {
     last_excitation: DVector<f64>,
     /// running mean square of the known excitation, for missing samples (N_f)
     excitation_mean_square: DVector<f64>,
+    /// running mean square of the physical state, for when it must be forgotten (n − N_θ)
+    motion_mean_square: DVector<f64>,
     posterior: Option<ExcitationPosterior>,
 }
 
@@ -240,16 +242,17 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Forgets the motion and keeps the parameters and noise levels: after a gap too long to be bridged.
     ///
-    /// The physical state goes back to its prior, uncorrelated with the parameters; the next frame updates it without a
-    /// prediction.
+    /// The physical state is taken as zero, as uncertain as the motion has been large, and uncorrelated with the parameters:
+    /// the structure need not have come to rest. The next frame updates it without a prediction.
     pub fn forget_motion(&mut self) {
         let moving = self.model.state_len() - self.model.parameter_len();
-        let FilterState { mean, covariance, last_excitation, posterior, fresh, .. } = &mut self.state;
+        let FilterState { mean, covariance, last_excitation, posterior, fresh, motion_mean_square, .. } =
+            &mut self.state;
         for j in 0..moving {
             mean[j] = self.settings.prior_mean[j];
             covariance.row_mut(j).fill(0.0);
             covariance.column_mut(j).fill(0.0);
-            covariance[(j, j)] = self.settings.prior_std[j] * self.settings.prior_std[j];
+            covariance[(j, j)] = self.settings.prior_std[j] * self.settings.prior_std[j] + motion_mean_square[j];
         }
         last_excitation.fill(0.0);
         if let Some(posterior) = posterior {
@@ -600,6 +603,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 state.excitation_mean_square[j] += weight * (known * known - state.excitation_mean_square[j]);
             }
         }
+        for (mean_square, value) in state.motion_mean_square.iter_mut().zip(&work.mean) {
+            *mean_square += weight * (value * value - *mean_square);
+        }
         state.steps += 1;
         state.fresh = false;
     }
@@ -616,6 +622,7 @@ impl FilterState {
             fresh: true,
             last_excitation: DVector::zeros(inputs),
             excitation_mean_square: DVector::zeros(inputs),
+            motion_mean_square: DVector::zeros(n - model.parameter_len()),
             posterior: model.feedthrough().map(|direct| ExcitationPosterior::new(n, direct.nrows(), inputs)),
         }
     }

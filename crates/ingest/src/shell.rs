@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use spandrel_bus::{
     Bus, Delivery, DisplayPublisher, FrameBlock, Keys, LiveToken, LiveWatch, Name, NumberedPublisher, NumberedStream,
-    Pace, ProgressPublisher, SampleBlock, Service, Start, Status, Stream, StreamSettings,
+    Pace, ProgressPublisher, SampleBlock, Service, Start, Status, Stream, StreamSettings, StreamState,
 };
 use spandrel_structure::Structure;
 use tokio::task::JoinSet;
@@ -71,6 +71,8 @@ pub struct IngestService {
     nodes: Vec<Stream<SampleBlock>>,
     last_heard: Vec<Duration>,
     signs: Vec<Sign>,
+    /// Nodes whose last block was their end.
+    ended: Vec<bool>,
     tokens: LiveWatch,
     frames: NumberedPublisher<FrameBlock>,
     progress: ProgressPublisher,
@@ -134,6 +136,7 @@ impl IngestService {
             started: Instant::now(),
             last_heard: vec![Duration::ZERO; nodes.len()],
             signs: vec![Sign::Present; nodes.len()],
+            ended: vec![false; nodes.len()],
             tokens: bus.watch_live(keys.all_live(Service::Sensor)).await?,
             frames,
             progress: bus.publish_progress(keys.progress(Service::Ingest), id.to_string()).await?,
@@ -204,6 +207,7 @@ impl IngestService {
             return Ok(()); // logged and counted by the stream; to the alignment it is a gap in time
         };
         self.pace = block.pace;
+        self.ended[node] = block.state == StreamState::Ended;
         let elapsed = self.started.elapsed();
         self.last_heard[node] = elapsed;
         if self.signs[node] == Sign::Lost {
@@ -248,6 +252,9 @@ impl IngestService {
     async fn look_at_the_clock(&mut self) -> Result<(), IngestError> {
         let elapsed = self.started.elapsed();
         for node in 0..self.nodes.len() {
+            if self.ended[node] {
+                continue; // it has said goodbye
+            }
             let silent = elapsed.saturating_sub(self.last_heard[node]) >= GRACE;
             if self.signs[node] == Sign::Gone && silent {
                 self.signs[node] = Sign::Lost;

@@ -110,7 +110,14 @@ impl AppError {
             | Self::NoStructure
             | Self::SameStructure { .. }
             | Self::NothingLearnt { .. }
-            | Self::Name(_) => ExitCode::from(BAD_INPUT),
+            | Self::Name(_)
+            | Self::Bus(BusError::ConfigFile { .. } | BusError::Setting { .. })
+            | Self::Alert(
+                AlertError::File { .. }
+                | AlertError::BaselineSyntax { .. }
+                | AlertError::BaselineFormat { .. }
+                | AlertError::BaselineStructure { .. },
+            ) => ExitCode::from(BAD_INPUT),
             Self::Bus(_)
             | Self::Ingest(_)
             | Self::Identify(_)

@@ -1,6 +1,7 @@
 //! Logs go to standard error, so that standard output holds results only.
 
 use crate::cli::LogFormat;
+use crate::watch::HeldStderr;
 use std::io::IsTerminal;
 use tracing_subscriber::EnvFilter;
 
@@ -17,7 +18,7 @@ pub fn start(format: LogFormat, verbose: u8) {
         "error,spandrel={level},spandrel_bus={level},spandrel_sensor={level},spandrel_ingest={level},spandrel_identify={level},spandrel_alert={level},spandrel_structure={level},spandrel_record={level}"
     );
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(fallback));
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(HeldStderr::default);
     match format {
         LogFormat::Text => builder.with_ansi(std::io::stderr().is_terminal()).init(),
         LogFormat::Json => builder.json().init(),

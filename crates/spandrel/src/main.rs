@@ -1,5 +1,6 @@
 //! Watches over bridges and buildings in real time: one program, one subcommand per service, and the tools around them.
 
+mod check_report;
 mod cli;
 mod commands;
 mod error;
@@ -9,6 +10,7 @@ mod record_source;
 mod services;
 mod settings;
 mod summary;
+mod watch;
 
 use clap::Parser;
 use std::process::ExitCode;

@@ -52,6 +52,7 @@ impl Settings {
             .with_list_parse_key("bus.connect")
             .with_list_parse_key("structures")
             .try_parsing(true)
+            .ignore_empty(true)
             .source(variables);
         let read = builder.add_source(environment).build().and_then(Config::try_deserialize::<Self>);
         let mut settings = read

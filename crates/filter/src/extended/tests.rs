@@ -252,6 +252,21 @@ fn quiet_stretch_does_not_wind_up() {
 }
 
 #[test]
+fn forgotten_motion_is_as_uncertain_as_it_has_been_large() {
+    let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+    run(&mut filter, 0..500);
+    let size = filter.mean().map(f64::abs);
+    filter.forget_motion();
+    assert_eq!(filter.mean().amax(), 0.0);
+    for j in 0..4 {
+        let std = filter.covariance()[(j, j)].sqrt();
+        assert!(std > 0.1 * size[j] && std.is_finite(), "state {j}: {std} after a motion of {}", size[j]);
+        assert!(filter.covariance().row(j).iter().enumerate().all(|(k, entry)| k == j || *entry == 0.0));
+    }
+    run(&mut filter, 500..700);
+}
+
+#[test]
 fn frame_of_the_wrong_size_is_refused_and_leaves_the_filter_as_it_was() {
     let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
     run(&mut filter, 0..10);

@@ -134,6 +134,20 @@ fn new_epoch_of_frames_keeps_the_parameters() {
 }
 
 #[test]
+fn source_that_starts_anew_while_the_building_shakes_spoils_no_level() {
+    let all = frames(3000);
+    let mut parts = cut(all, &[2000]);
+    let mut again = parts.remove(1);
+    again.header = Header { source: "ingest".into(), epoch: 8, sequence: 0, time_ns: 0 };
+    let outputs = run(vec![parts.remove(0), again]);
+    let estimates = estimates(&outputs);
+    let (before, after) = (estimates[1999].noise_mean[0], estimates[2999].noise_mean[0]);
+    assert!((0.5..1.5).contains(&(after / before)), "noise level from {before:e} to {after:e}");
+    let worst = estimates[2000..].iter().map(|e| (e.mean[0] - 1.0).abs()).fold(0.0, f64::max);
+    assert!(worst < 0.05, "storey 1 moved to {worst} from the truth");
+}
+
+#[test]
 fn missing_ground_motion_widens_the_prediction_of_its_step() {
     let mut block = frames(1000);
     for frame in 500..520 {

@@ -1,3 +1,23 @@
-pub fn run(_: crate::cli::CheckArguments) -> Result<(), crate::error::AppError> {
-    Ok(())
+//! `spandrel check`: what a structure and its sensors can tell, before a sensor is bought.
+
+use super::print;
+use crate::check_report::CheckPage;
+use crate::cli::CheckArguments;
+use crate::error::AppError;
+use spandrel_structure::Structure;
+
+/// Seed of the simulated data: the same file gives the same report.
+const SEED: u64 = 1;
+
+/// Checks a structure file and prints the report; warnings are no failure.
+///
+/// # Errors
+/// When the file is wrong.
+pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
+    let structure = Structure::read(&arguments.structure)?;
+    let page = CheckPage::new(&structure, structure.check(arguments.after, SEED));
+    print(&match arguments.json {
+        true => page.json(),
+        false => page.to_string(),
+    })
 }

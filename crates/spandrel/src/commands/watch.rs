@@ -1,12 +1,71 @@
-pub fn run(_: crate::cli::WatchArguments) -> Result<(), crate::error::AppError> {
-    Ok(())
+//! `spandrel watch`: parameters and alerts of a running system, in this terminal.
+
+use crate::cli::WatchArguments;
+use crate::error::AppError;
+use crate::services::{block_on, interrupted};
+use crate::settings::Settings;
+use crate::watch;
+use spandrel_bus::{Bus, BusConfig, DEFAULT_ENDPOINT, Mode, Name};
+
+/// Shows one structure, or all, until the person quits or the process is told to stop.
+///
+/// # Errors
+/// When the configuration is wrong, or nobody answers on the bus.
+pub fn run(arguments: WatchArguments) -> Result<(), AppError> {
+    let bus = joining_by_default(Settings::load(&arguments.bus)?.bus);
+    let root = Name::new(&*bus.root)?;
+    let structure = arguments.structure.map(Name::new).transpose()?;
+    block_on(async {
+        let bus = Bus::open(&bus).await?;
+        let shown = watch::show(&bus, &root, structure.as_ref(), interrupted()).await;
+        let closed = bus.close().await;
+        shown.and(closed.map_err(AppError::from))
+    })
 }
+
+/// Shows the view on a bus that is open already, until `stop` or until the person quits.
+///
+/// # Errors
+/// When the structure has no name of a key, the session is closed or the terminal is gone.
 pub async fn show(
-    _: &spandrel_bus::Bus,
-    _: &spandrel_bus::Name,
-    _: Option<&str>,
+    bus: &Bus,
+    root: &Name,
+    structure: Option<&str>,
     stop: impl Future<Output = ()>,
-) -> Result<(), crate::error::AppError> {
-    stop.await;
-    Ok(())
+) -> Result<(), AppError> {
+    let structure = structure.map(Name::new).transpose()?;
+    watch::show(bus, root, structure.as_ref(), stop).await
+}
+
+/// A view alone is no system: unless told otherwise it joins the one on this machine.
+fn joining_by_default(bus: BusConfig) -> BusConfig {
+    let nothing_said = bus.listen.is_empty() && bus.connect.is_empty() && bus.config_file.is_none();
+    if !nothing_said {
+        return bus;
+    }
+    BusConfig { mode: Mode::Client, connect: vec![DEFAULT_ENDPOINT.to_owned()], ..bus }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_a_word_on_the_bus_it_joins_the_one_on_this_machine_as_a_client() {
+        let joined = joining_by_default(BusConfig { root: "here".to_owned(), ..BusConfig::default() });
+        assert_eq!((joined.mode, joined.connect.as_slice()), (Mode::Client, [DEFAULT_ENDPOINT.to_owned()].as_slice()));
+        assert_eq!((joined.root.as_str(), joined.listen.len()), ("here", 0));
+    }
+
+    #[test]
+    fn whoever_says_how_to_join_is_believed() {
+        let endpoint = || vec!["tcp/127.0.0.1:7000".to_owned()];
+        for said in [
+            BusConfig { listen: endpoint(), ..BusConfig::default() },
+            BusConfig { connect: endpoint(), ..BusConfig::default() },
+            BusConfig { config_file: Some("zenoh.json5".into()), ..BusConfig::default() },
+        ] {
+            assert_eq!(joining_by_default(said.clone()), said);
+        }
+    }
 }

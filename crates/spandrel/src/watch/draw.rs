@@ -5,6 +5,7 @@ use super::heard::StructureHeard;
 use super::lists::{alert_lines, alerts_title, event_lines};
 use super::structure_panel::StructurePanel;
 use super::view::{Mode, View};
+use super::wording::nothing_heard;
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Modifier, Style};
@@ -38,6 +39,7 @@ q, Esc        quit
 │      what a loss is counted from
 ▁▄█    the last minutes on the axis of the bars
 
+–             no alert heard of
 learning      the sound value is being learnt
 normal        no loss with the credibility asked for
 pending       a loss, not yet for as long as asked for
@@ -67,7 +69,7 @@ pub fn draw(view: &View, frame: &mut Frame<'_>) {
 
 fn draw_main(view: &View, frame: &mut Frame<'_>, area: Rect) {
     if view.heard.structures().len() == 0 {
-        frame.render_widget(Paragraph::new("nothing heard yet: no service and no sensor of any structure is there"), area);
+        frame.render_widget(Paragraph::new(nothing_heard(view.place())), area);
         return;
     }
     let structures: Vec<(&Name, &StructureHeard)> = view.heard.structures().collect();
@@ -155,8 +157,9 @@ fn draw_panel(frame: &mut Frame<'_>, area: Rect, panel: StructurePanel, choice: 
 fn draw_lists(view: &View, frame: &mut Frame<'_>, area: Rect) {
     let width = usize::from(area.width);
     let events = event_lines(&view.heard, width);
-    let wanted = u16::try_from(events.len() + 1).unwrap_or(u16::MAX);
-    let events_height = wanted.min((area.height * 2 / 5).max(EVENTS_AT_LEAST));
+    let with_title = |lines: usize| u16::try_from(lines + 1).unwrap_or(u16::MAX);
+    let left_by_alerts = area.height.saturating_sub(with_title(alert_lines(view, width, usize::MAX).len()));
+    let events_height = with_title(events.len()).min(left_by_alerts.max(area.height * 2 / 5).max(EVENTS_AT_LEAST));
     let [alerts_area, events_area] =
         Layout::vertical([Constraint::Fill(1), Constraint::Length(events_height)]).areas(area);
     let list = |title: Line<'static>| {

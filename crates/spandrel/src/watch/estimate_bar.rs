@@ -6,6 +6,8 @@ use spandrel_bus::{AlertMessage, ParameterDisplay};
 const FURTHEST: (f64, f64) = (0.0, 2.0);
 /// The axis starts and ends on multiples of this, so that it does not move with each value.
 const GRID: f64 = 0.05;
+/// Room beyond the outermost value.
+const MARGIN: f64 = 0.01;
 
 const MEAN: char = '●';
 const INTERVAL: char = '━';
@@ -57,7 +59,7 @@ impl Axis {
         let within = |value: f64| value.clamp(least, most);
         let (low, high) =
             values.fold((1.0_f64, 1.0_f64), |(low, high), value| (low.min(within(value)), high.max(within(value))));
-        Self { low: ((low / GRID).floor() - 1.0) * GRID, high: ((high / GRID).ceil() + 1.0) * GRID }
+        Self { low: ((low - MARGIN) / GRID).floor() * GRID, high: ((high + MARGIN) / GRID).ceil() * GRID }
     }
 
     /// The ends as text.
@@ -107,22 +109,22 @@ mod tests {
     use spandrel_bus::AlertState;
 
     fn marks(mean: f64, half_width: f64) -> Marks {
-        Marks { mean, interval: (mean - half_width, mean + half_width), limit: 0.95, reference: 1.0 }
+        Marks { mean, interval: (mean - half_width, mean + half_width), limit: 0.945, reference: 1.005 }
     }
 
     const AXIS: Axis = Axis { low: 0.8, high: 1.2 };
 
     #[test]
     fn bar_shows_mean_interval_limit_and_reference_in_their_places() {
-        // 40 cells of 0.01: the mean 0.905 stands in cell 10, the interval in cells 7 to 13
-        let expected = format!("{}━━━●━━━ ┊    │{}", " ".repeat(7), " ".repeat(19));
+        // 40 cells of 0.01: mean 0.905 in cell 10, interval in 7 to 13, limit 0.945 in 14, reference 1.005 in 20
+        let expected = format!("{}━━━●━━━┊     │{}", " ".repeat(7), " ".repeat(19));
         assert_eq!(AXIS.bar(40, &marks(0.905, 0.03)), expected);
     }
 
     #[test]
     fn an_interval_over_the_limit_shows_both() {
         let bar = AXIS.bar(40, &marks(0.975, 0.04));
-        assert!(bar.contains("━╋━━●━━━"), "{bar}");
+        assert!(bar.contains("━╋━━●━━━━"), "{bar}");
     }
 
     #[test]
@@ -132,7 +134,7 @@ mod tests {
 
     #[test]
     fn axis_holds_all_values_on_its_grid_and_stays_in_bounds() {
-        assert_eq!(Axis::around([0.86, 1.03].into_iter()).labels(), ("0.80".to_owned(), "1.10".to_owned()));
+        assert_eq!(Axis::around([0.86, 1.03].into_iter()).labels(), ("0.85".to_owned(), "1.05".to_owned()));
         assert_eq!(Axis::around(std::iter::empty()).labels(), ("0.95".to_owned(), "1.05".to_owned()));
         assert_eq!(Axis::around([-1e300, 1e300].into_iter()).labels(), ("-0.05".to_owned(), "2.05".to_owned()));
     }

@@ -42,10 +42,6 @@ impl Form {
     /// Takes a key.
     pub fn key(&mut self, key: KeyEvent) -> Typed {
         let is_control = key.modifiers.contains(KeyModifiers::CONTROL);
-        let text = match self.field {
-            Field::Who => &mut self.who,
-            Field::Note => &mut self.note,
-        };
         match key.code {
             KeyCode::Esc => return Typed::Cancelled,
             KeyCode::Enter if self.who.trim().is_empty() => self.field = Field::Who,
@@ -56,14 +52,25 @@ impl Form {
                     Field::Note => Field::Who,
                 };
             }
-            KeyCode::Backspace => drop(text.pop()),
-            KeyCode::Char('u') if is_control => text.clear(),
-            KeyCode::Char(letter) if !is_control && !letter.is_control() && text.chars().count() < LONGEST => {
-                text.push(letter);
+            KeyCode::Backspace => drop(self.text().pop()),
+            KeyCode::Char('u') if is_control => self.text().clear(),
+            KeyCode::Char(letter) if !is_control && !letter.is_control() => {
+                let text = self.text();
+                if text.chars().count() < LONGEST {
+                    text.push(letter);
+                }
             }
             _ => {}
         }
         Typed::On
+    }
+
+    /// The field that is being typed.
+    fn text(&mut self) -> &mut String {
+        match self.field {
+            Field::Who => &mut self.who,
+            Field::Note => &mut self.note,
+        }
     }
 }
 

@@ -191,6 +191,7 @@ impl Heard {
             // a node or service that went and never said how it does leaves no trace
             structure.instances.retain(|_, instance| instance.is_present || instance.status.is_some());
         }
+        self.structures.retain(|_, structure| !structure.is_silent());
     }
 
     /// Returns the structure, made known if there is room; counts what is left out.
@@ -254,6 +255,12 @@ impl Heard {
 }
 
 impl StructureHeard {
+    /// Whether nobody is there, and nothing was ever heard.
+    fn is_silent(&self) -> bool {
+        let Self { parameters, noise, alerts, instances, .. } = self;
+        parameters.is_empty() && noise.is_empty() && alerts.is_empty() && instances.is_empty()
+    }
+
     /// The alert of a parameter.
     pub fn alert(&self, parameter: &Name) -> Option<&AlertMessage> {
         self.alerts.get(&NaturalName(parameter.clone()))

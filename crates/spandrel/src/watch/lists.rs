@@ -2,11 +2,11 @@
 
 use super::heard::Heard;
 use super::view::View;
-use super::wording::{printable, state_style, state_word, time};
+use super::wording::{printable, state_counts, state_style, state_word, time};
 use super::wrap::wrap;
 use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
-use spandrel_bus::{AlertMessage, AlertState, Event, Name};
+use spandrel_bus::{AlertMessage, Event, Name};
 
 /// Width of the mark and of `acknowledged`, the longest state.
 const BEFORE_SENTENCE: usize = 2 + 12 + 2;
@@ -35,15 +35,8 @@ impl Structures {
 
 /// How many alerts are in which state.
 pub fn alerts_title(heard: &Heard) -> Line<'static> {
-    let alerts = heard.open_alerts();
     let mut line = Line::from(Span::styled("alerts", Modifier::BOLD));
-    for state in [AlertState::Raised, AlertState::Pending, AlertState::Acknowledged, AlertState::Cleared] {
-        let count = alerts.iter().filter(|alert| alert.state == state).count();
-        if count > 0 {
-            line.push_span(format!(" · {count} "));
-            line.push_span(Span::styled(state_word(state), state_style(state)));
-        }
-    }
+    line.extend(state_counts(heard.open_alerts().into_iter()));
     line
 }
 
@@ -54,7 +47,8 @@ pub fn alert_lines(view: &View, width: usize, height: usize) -> Vec<Line<'static
         return vec![Line::from("  none").style(Modifier::DIM)];
     };
     let structures = Structures::of(&view.heard);
-    let mut entries: Vec<Vec<Line<'static>>> = alerts.iter().map(|alert| alert_entry(alert, structures, width)).collect();
+    let mut entries: Vec<Vec<Line<'static>>> =
+        alerts.iter().map(|alert| alert_entry(alert, structures, width)).collect();
     mark(&mut entries[selected]);
     let mut first = 0;
     while first < selected && entries[first..=selected].iter().map(Vec::len).sum::<usize>() > height {

@@ -43,7 +43,7 @@ fn services(heard: &Heard, structure: &StructureHeard) -> String {
         let _ = write!(text, "{separator}{}/{id}", service.as_str());
         let Some(status) = &instance.status else { continue };
         if let Some(lag_s) = status.lag_s {
-            let _ = write!(text, " lag {}", lag(lag_s));
+            let _ = write!(text, " {}", lag(lag_s));
         }
         let dropped: u64 = status.drops.values().sum();
         if dropped > 0 {
@@ -73,10 +73,7 @@ mod tests {
     fn a_change_of_an_alert_is_one_line() {
         let mut raised = alert("storey-2", 45, AlertState::Raised);
         raised.why = "storey-2 has lost\n14 %".to_owned();
-        assert_eq!(
-            alert_line(&raised),
-            "2024-02-29 12:00:45 UTC alert tower/storey-2 raised: storey-2 has lost 14 %"
-        );
+        assert_eq!(alert_line(&raised), "2024-02-29 12:00:45 UTC alert tower/storey-2 raised: storey-2 has lost 14 %");
     }
 
     #[test]
@@ -91,12 +88,16 @@ mod tests {
 
     #[test]
     fn stale_data_and_services_that_are_gone_are_marked() {
-        let mut heard = heard([Input::Parameter(parameter("storey-1", 0, 1.0, 0.1)), present(&[(Service::Ingest, "a")])]);
+        let mut heard =
+            heard([Input::Parameter(parameter("storey-1", 0, 1.0, 0.1)), present(&[(Service::Ingest, "a")])]);
         heard.handle(at(12), &mut Vec::new());
         assert_eq!(line(&heard), "2024-02-29 12:00:00 UTC tower stale 12 s: storey-1 1.000 ± 0.100; ingest/a");
         let mut tower = damaged_tower();
         tower.handle(present(&[]), &mut Vec::new());
-        assert!(line(&tower).ends_with("ingest/a lag 0.12 s gone, identify/a lag 0.21 s drops 3 gone, alert/a lag 0.25 s gone"));
+        assert!(
+            line(&tower)
+                .ends_with("ingest/a lag 0.12 s gone, identify/a lag 0.21 s drops 3 gone, alert/a lag 0.25 s gone")
+        );
     }
 
     #[test]

@@ -1,10 +1,11 @@
 //! Joins the view to bus and terminal.
 
-use super::listen::Listening;
 use super::heard::{Heard, Input};
+use super::listen::Listening;
 use super::plain::{alert_line, structure_line};
 use super::screen::Screen;
 use super::view::{Action, View};
+use super::wording::nothing_heard;
 use crate::error::AppError;
 use ratatui::crossterm::event::{Event, KeyEventKind};
 use spandrel_bus::{Acknowledgement, Bus, Keys, Name};
@@ -30,10 +31,14 @@ pub async fn show(
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
     let listening = Listening::start(bus, root, structure).await?;
+    let place = match structure {
+        Some(structure) => format!("of {structure} below {root}"),
+        None => format!("below {root}"),
+    };
     if io::stdout().is_terminal() {
-        show_screen(bus, root, listening, stop).await
+        show_screen(bus, root, listening, place, stop).await
     } else {
-        print_lines(listening, stop).await
+        print_lines(listening, &place, stop).await
     }
 }
 
@@ -41,10 +46,11 @@ async fn show_screen(
     bus: &Bus,
     root: &Name,
     mut listening: Listening,
+    place: String,
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
     tokio::pin!(stop);
-    let mut view = View::new(std::env::var("USER").unwrap_or_default());
+    let mut view = View::new(place, std::env::var("USER").unwrap_or_default());
     let mut screen = Screen::open()?;
     let clock = Clock::start();
     let mut redraw = tokio::time::interval(REDRAW_EVERY);
@@ -85,13 +91,14 @@ async fn acknowledge(bus: &Bus, root: &Name, acknowledgement: &Acknowledgement) 
     Ok(publisher.put(acknowledgement).await?)
 }
 
-async fn print_lines(mut listening: Listening, stop: impl Future<Output = ()>) -> Result<(), AppError> {
+async fn print_lines(mut listening: Listening, place: &str, stop: impl Future<Output = ()>) -> Result<(), AppError> {
     tokio::pin!(stop);
     let mut heard = Heard::default();
     let clock = Clock::start();
     let mut look = tokio::time::interval(REDRAW_EVERY);
     look.set_missed_tick_behavior(MissedTickBehavior::Skip);
     let mut next_line = LINE_EVERY;
+    let mut is_silence_told = false;
     loop {
         let is_last = tokio::select! {
             biased;
@@ -108,6 +115,10 @@ async fn print_lines(mut listening: Listening, stop: impl Future<Output = ()>) -
         if is_last || now >= next_line {
             next_line = now + LINE_EVERY;
             lines.extend(heard.structures().map(|(name, structure)| structure_line(&heard, name, structure)));
+            if lines.is_empty() && !is_silence_told {
+                lines.push(nothing_heard(place));
+                is_silence_told = true;
+            }
         }
         if print(&lines)? == Reader::Gone || is_last {
             return Ok(());
@@ -152,4 +163,32 @@ fn wall_clock_ns() -> i64 {
     #[expect(clippy::disallowed_methods, reason = "an acknowledgement says when it was given")]
     let now = SystemTime::now();
     now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::name;
+    use super::*;
+    use spandrel_bus::BusConfig;
+
+    /// Ends a hang; nothing here takes a second.
+    const DEADLINE: Duration = Duration::from_secs(30);
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn an_acknowledgement_reaches_whoever_listens_for_it() {
+        let config = BusConfig { listen: vec!["tcp/127.0.0.1:0".into()], ..BusConfig::default() };
+        let bus = Bus::open(&config).await.unwrap();
+        let keys = config.keys("tower").unwrap();
+        let acknowledgements = bus.subscribe::<Acknowledgement>(keys.all_acknowledgements(), 8).await.unwrap();
+        let sent = Acknowledgement {
+            structure: name("tower"),
+            parameter: name("storey-2"),
+            time_ns: wall_clock_ns(),
+            who: "anna".to_owned(),
+            note: "seen".to_owned(),
+        };
+        acknowledge(&bus, keys.root(), &sent).await.unwrap();
+        let received = tokio::time::timeout(DEADLINE, acknowledgements.messages().recv_async()).await.unwrap().unwrap();
+        assert_eq!(received, ("spandrel/tower/alert/storey-2/acknowledge".to_owned(), sent));
+    }
 }

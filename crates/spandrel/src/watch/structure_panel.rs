@@ -3,11 +3,13 @@
 use super::estimate_bar::{Axis, Marks};
 use super::heard::{Heard, InstanceHeard, ParameterHeard, StructureHeard};
 use super::trail::Trail;
-use super::wording::{duration, estimate, lag, printable, probability, share, significant, state_style, state_word, time};
+use super::wording::{
+    duration, estimate, lag, printable, probability, share, significant, state_counts, state_style, state_word, time,
+};
 use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
-use spandrel_bus::{AlertMessage, AlertState, Name, NoiseDisplay, Service};
+use spandrel_bus::{AlertMessage, Name, NoiseDisplay, Service};
 
 /// Between columns.
 const GAP: &str = "  ";
@@ -20,6 +22,8 @@ const ESTIMATE: usize = 13;
 const INTERVAL: usize = 14;
 /// From this width on there is room for a trend and the interval in numbers.
 const WIDE: usize = 110;
+/// Rows of parameters that are worth more than services.
+const ROWS_AT_LEAST: usize = 4;
 /// A bar narrower than this says nothing.
 const NARROWEST_BAR: usize = 8;
 
@@ -47,9 +51,10 @@ struct Columns {
 impl StructurePanel {
     /// Prepares everything for lines of `width` characters.
     pub fn new(heard: &Heard, name: &Name, structure: &StructureHeard, width: usize) -> Self {
-        let all_marks = structure.parameters.iter().map(|(name, parameter)| {
-            Marks::new(&parameter.display, structure.alerts.get(name))
-        });
+        let all_marks = structure
+            .parameters
+            .iter()
+            .map(|(name, parameter)| Marks::new(&parameter.display, structure.alerts.get(name)));
         let axis = Axis::around(all_marks.flat_map(|marks| marks.extent()));
         let losses = Losses::new(structure);
         let columns = Columns::new(structure, &losses, width);
@@ -74,7 +79,9 @@ impl StructurePanel {
 
     /// The lines that fit into `height`, starting with row `first` where not all do.
     pub fn into_lines(self, height: usize, first: usize) -> Vec<Line<'static>> {
-        let Self { header, rows, footer, .. } = self;
+        let Self { header, rows, mut footer, .. } = self;
+        // in a small window parameters come before services
+        footer.truncate(height.saturating_sub(1 + rows.len().min(ROWS_AT_LEAST)));
         let room = height.saturating_sub(1 + footer.len());
         let mut lines = vec![header];
         if rows.is_empty() {
@@ -205,13 +212,7 @@ fn shortened(name: &str) -> String {
 
 fn title(name: &Name, structure: &StructureHeard) -> Line<'static> {
     let mut line = Line::from(Span::styled(name.to_string(), Modifier::BOLD));
-    for state in [AlertState::Raised, AlertState::Pending, AlertState::Acknowledged, AlertState::Cleared] {
-        let count = structure.alerts.values().filter(|alert| alert.state == state).count();
-        if count > 0 {
-            line.push_span(format!(" · {count} "));
-            line.push_span(Span::styled(state_word(state), state_style(state)));
-        }
-    }
+    line.extend(state_counts(structure.alerts.values()));
     line
 }
 
@@ -221,7 +222,10 @@ fn time_of(heard: &Heard, structure: &StructureHeard) -> Line<'static> {
         (Some(measured), None) => Line::from(measured),
         (Some(measured), Some(silence)) => {
             let warning = Style::new().fg(Color::Yellow).add_modifier(Modifier::BOLD);
-            Line::from_iter([Span::raw(format!("{measured} · ")), Span::styled(format!("stale {}", duration(silence)), warning)])
+            Line::from_iter([
+                Span::raw(format!("{measured} · ")),
+                Span::styled(format!("stale {}", duration(silence)), warning),
+            ])
         }
         (None, _) => Line::from("no data yet"),
     }
@@ -256,15 +260,14 @@ fn noise_level(level: &NoiseDisplay) -> String {
     if *mean <= 0.0 {
         return format!("{name} 0");
     }
-    let level = mean.sqrt();
-    let spread = std / (2.0 * level); // d√ψ = dψ / 2√ψ
-    format!("{name} {} ± {}", significant(level), significant(spread))
+    let relative_std = std / (2.0 * mean); // d√ψ / √ψ = dψ / 2ψ
+    format!("{name} {} ± {}", significant(mean.sqrt()), share(relative_std))
 }
 
 fn service_item(heard: &Heard, who: String, instance: &InstanceHeard) -> Span<'static> {
     let mut text = who;
     if let Some(status) = &instance.status {
-        text.push_str(&status.lag_s.map_or_else(|| " waits for data".to_owned(), |lag_s| format!(" lag {}", lag(lag_s))));
+        text.push_str(&status.lag_s.map_or_else(|| " waits for data".to_owned(), |lag_s| format!(" {}", lag(lag_s))));
         for (reason, count) in status.drops.iter().filter(|(_, count)| **count > 0) {
             text.push_str(&format!(", {count} {}", printable(reason)));
         }

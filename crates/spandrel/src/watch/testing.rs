@@ -84,7 +84,8 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
 }
 
 pub fn present(instances: &[(Service, &str)]) -> Input {
-    let instance = |(service, id): &(Service, &str)| Instance { structure: name("tower"), service: *service, id: name(id) };
+    let instance =
+        |(service, id): &(Service, &str)| Instance { structure: name("tower"), service: *service, id: name(id) };
     Input::Present(instances.iter().map(instance).collect::<BTreeSet<_>>())
 }
 

@@ -2,7 +2,8 @@
 
 use super::heard::{Input, Instance};
 use spandrel_bus::{
-    AlertMessage, Event, Keys, Message, Name, NameError, NoiseDisplay, ParameterDisplay, Service, Status, Topic, parse_key,
+    AlertMessage, Event, Keys, Message, Name, NameError, NoiseDisplay, ParameterDisplay, Service, Status, Topic,
+    parse_key,
 };
 
 /// The key expressions of what people look at.

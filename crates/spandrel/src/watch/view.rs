@@ -16,6 +16,8 @@ const PAGE: usize = 5;
 #[derive(Debug, Clone, Default)]
 pub struct View {
     pub heard: Heard,
+    /// Where it is listened, in words, for as long as nothing is heard.
+    place: String,
     mode: Mode,
     /// By name, so that a new structure or alert does not move the choice.
     structure: Option<Name>,
@@ -61,9 +63,14 @@ enum Step {
 }
 
 impl View {
-    /// Starts with nothing heard; `who` is offered as the name for acknowledgements.
-    pub fn new(who: String) -> Self {
-        Self { who, ..Self::default() }
+    /// Starts with nothing heard at `place`; `who` is offered as the name for acknowledgements.
+    pub fn new(place: String, who: String) -> Self {
+        Self { place, who, ..Self::default() }
+    }
+
+    /// Where it is listened, in words.
+    pub fn place(&self) -> &str {
+        &self.place
     }
 
     /// Takes a key; returns what it asks for.
@@ -187,7 +194,8 @@ impl View {
     /// Where the chosen alert stands among `alerts`, which are the open ones.
     pub fn selected_alert_index(&self, alerts: &[&AlertMessage]) -> Option<usize> {
         let chosen = self.alert.as_ref();
-        let is_chosen = |alert: &&AlertMessage| chosen.is_some_and(|(s, p)| (s, p) == (&alert.structure, &alert.parameter));
+        let is_chosen =
+            |alert: &&AlertMessage| chosen.is_some_and(|(s, p)| (s, p) == (&alert.structure, &alert.parameter));
         alerts.iter().position(is_chosen).or((!alerts.is_empty()).then_some(0))
     }
 }

@@ -2,7 +2,8 @@
 
 use jiff::Timestamp;
 use ratatui::style::{Color, Modifier, Style};
-use spandrel_bus::{AlertState, EventKind};
+use ratatui::text::Span;
+use spandrel_bus::{AlertMessage, AlertState};
 use std::time::Duration;
 
 /// The state in one word.
@@ -29,18 +30,23 @@ pub fn state_style(state: AlertState) -> Style {
     }
 }
 
-/// The kind of an event in words.
-pub fn event_word(kind: EventKind) -> &'static str {
-    match kind {
-        EventKind::Restart => "restart",
-        EventKind::Calibration => "calibration",
-        EventKind::LeadingClass => "model class",
-        EventKind::NodeExcluded => "node out",
-        EventKind::NodeBack => "node back",
-        EventKind::ChannelExcluded => "channel out",
-        EventKind::ChannelBack => "channel back",
-        EventKind::Gap => "gap",
+/// How many alerts are in which state, as parts of a title; normal ones are not worth a word.
+pub fn state_counts<'a>(alerts: impl Iterator<Item = &'a AlertMessage> + Clone) -> Vec<Span<'static>> {
+    let told = [AlertState::Raised, AlertState::Pending, AlertState::Acknowledged, AlertState::Cleared];
+    let mut spans = Vec::new();
+    for state in told {
+        let count = alerts.clone().filter(|alert| alert.state == state).count();
+        if count > 0 {
+            spans.push(Span::raw(format!(" · {count} ")));
+            spans.push(Span::styled(state_word(state), state_style(state)));
+        }
     }
+    spans
+}
+
+/// What there is to say before there is anything.
+pub fn nothing_heard(place: &str) -> String {
+    format!("nothing heard yet {place}: neither a service nor a sensor is there")
 }
 
 /// Mean and standard deviation: `0.858 ± 0.011`.
@@ -99,9 +105,9 @@ fn seconds(span_s: f64) -> String {
     }
 }
 
-/// How far behind the clock something is; a simulation that outruns the clock is ahead.
+/// How far behind the clock something is: `lag 0.12 s`; a simulation that outruns the clock is `12 s ahead`.
 pub fn lag(lag_s: f64) -> String {
-    if lag_s < 0.0 { format!("{} ahead", seconds(-lag_s)) } else { seconds(lag_s) }
+    if lag_s < 0.0 { format!("{} ahead", seconds(-lag_s)) } else { format!("lag {}", seconds(lag_s)) }
 }
 
 /// A measurement time: of a record that starts at 0 in seconds, otherwise by the calendar, UTC.
@@ -144,8 +150,9 @@ mod tests {
         for (value, expected) in
             [(0.12, "0.12 s"), (12.9, "12 s"), (90.0, "90 s"), (150.0, "2 min"), (7300.0, "2 h"), (8.7e8, "27 years")]
         {
-            assert_eq!(lag(value), expected);
+            assert_eq!(seconds(value), expected);
         }
+        assert_eq!(lag(0.12), "lag 0.12 s");
         assert_eq!(lag(-12.0), "12 s ahead");
     }
 

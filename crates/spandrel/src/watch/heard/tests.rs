@@ -63,7 +63,10 @@ fn an_answer_does_not_undo_what_came_by_itself() {
     let mut heard = heard([Input::Alert(alert("storey-2", 45, AlertState::Acknowledged))]);
     // both decided by the same frame: an acknowledgement brings no new estimate
     assert_eq!(changes(&mut heard, Input::StandingAlert(alert("storey-2", 45, AlertState::Raised))), []);
-    assert_eq!(changes(&mut heard, Input::StandingAlert(alert("storey-2", 50, AlertState::Cleared))), [AlertState::Cleared]);
+    assert_eq!(
+        changes(&mut heard, Input::StandingAlert(alert("storey-2", 50, AlertState::Cleared))),
+        [AlertState::Cleared]
+    );
 }
 
 #[test]
@@ -89,6 +92,13 @@ fn a_service_that_goes_stays_on_record_and_a_node_does_not() {
     let instances: Vec<(Service, bool)> =
         tower(&heard).instances.iter().map(|((service, _), instance)| (*service, instance.is_present)).collect();
     assert_eq!(instances, [(Service::Ingest, false)]);
+}
+
+#[test]
+fn a_structure_that_came_and_went_unheard_leaves_no_trace() {
+    let mut heard = heard([present(&[(Service::Sensor, "floor-1")])]);
+    heard.handle(present(&[]), &mut Vec::new());
+    assert_eq!(heard.structures().len(), 0);
 }
 
 #[test]

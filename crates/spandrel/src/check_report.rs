@@ -1,0 +1,431 @@
+//! What a check of a structure file tells, as a page for people and as JSON.
+//!
+//! The JSON object has these fields; deviations and sensitivities are ratios to nominal unless said otherwise:
+//!
+//! - `structure`, `description`: as in the file; `sampling_rate_hz`; `degrees_of_freedom`; `channels`; `nodes`
+//! - `modes`: natural modes as designed, lowest first: `frequency_hz`, `period_s`, `damping_ratio` (share of critical), and
+//!   `sensitivity`: relative change of the frequency per relative change of each parameter, in the order of `parameters`
+//! - `time_step`: `highest_frequency_hz`, `rate_times_step` (bound of the highest rate times the time step), `substeps` of
+//!   each step and `series_order`, the terms of the series in each
+//! - `after_s`: length of the data that `std_after` stands for; `memory_s`: length of the data that fading memory amounts
+//!   to. Both are `null`, and the next three empty, if no filter settles on this structure
+//! - `parameters`: `name`, `prior_mean`, `prior_std`, `std_after`, `std_steady` (in the long run, with fading memory),
+//!   `std_reported` (what the filter will report in the long run), `settling_s` (time in which an error falls to a third),
+//!   `verdict`, and `shifts`: shift of the estimate were a noise level stated 10 % too high, in the order of `noise_levels`
+//! - `noise_levels`: `name`, `std` as the file states it in `unit`, whether `adapted`, `relative_std_after` (relative
+//!   deviation of the level after the data, were it adapted), `haste` (how many times faster than its half-life it moves)
+//! - `correlations`: of parameters, then noise levels, row by row, were no level known
+//! - `findings`, the most serious first: `severity` (`warning` or `note`), `kind` with the data of that kind, `text`, and
+//!   `advice`, which is `null` where the text says it all
+
+use serde::Serialize;
+use spandrel_structure::{
+    CheckReport, Finding, ModeReport, NoiseSource, ParameterReport, Severity, Structure, TimeStepReport,
+};
+use std::fmt;
+
+/// Modes that the page shows; JSON has all.
+const MODES_SHOWN: usize = 10;
+/// Modes whose sensitivities fit on a line.
+const SENSITIVITIES_SHOWN: usize = 6;
+
+/// Below this an exponent is easier to read than zeros.
+const SMALL: f64 = 1e-3;
+
+/// A checked structure.
+#[derive(Debug, Clone, Serialize)]
+pub struct CheckPage {
+    structure: String,
+    description: String,
+    sampling_rate_hz: f64,
+    degrees_of_freedom: usize,
+    channels: usize,
+    nodes: usize,
+    modes: Vec<ModeReport>,
+    time_step: TimeStepReport,
+    after_s: Option<f64>,
+    memory_s: Option<f64>,
+    parameters: Vec<ParameterLine>,
+    noise_levels: Vec<NoiseLevelLine>,
+    correlations: Vec<Vec<f64>>,
+    findings: Vec<FindingLine>,
+}
+
+#[derive(Debug, Clone, Serialize)]
+struct ParameterLine {
+    name: String,
+    prior_mean: f64,
+    prior_std: f64,
+    std_after: f64,
+    std_steady: f64,
+    std_reported: f64,
+    settling_s: f64,
+    shifts: Vec<f64>,
+    verdict: String,
+}
+
+#[derive(Debug, Clone, Serialize)]
+struct NoiseLevelLine {
+    name: String,
+    std: f64,
+    unit: &'static str,
+    adapted: bool,
+    relative_std_after: f64,
+    haste: f64,
+}
+
+#[derive(Debug, Clone, Serialize)]
+struct FindingLine {
+    severity: Severity,
+    #[serde(flatten)]
+    finding: Finding,
+    text: String,
+    advice: Option<String>,
+}
+
+impl CheckPage {
+    /// Lays out what `report` says of `structure`.
+    pub fn new(structure: &Structure, report: CheckReport) -> Self {
+        let CheckReport { structure: name, modes, time_step, identification, findings } = report;
+        let findings = findings.into_iter().map(|finding| FindingLine {
+            severity: finding.severity(),
+            text: finding.to_string(),
+            advice: advice(structure, &finding),
+            finding,
+        });
+        let findings: Vec<FindingLine> = findings.collect();
+        let mut page = Self {
+            structure: name,
+            description: structure.description().to_owned(),
+            sampling_rate_hz: structure.sampling_rate_hz(),
+            degrees_of_freedom: modes.len(),
+            channels: structure.channel_count(),
+            nodes: structure.nodes().len(),
+            modes,
+            time_step,
+            after_s: None,
+            memory_s: None,
+            parameters: Vec::new(),
+            noise_levels: Vec::new(),
+            correlations: Vec::new(),
+            findings,
+        };
+        if let Some(identification) = identification {
+            page.after_s = Some(identification.duration_s);
+            page.memory_s = Some(identification.memory_s);
+            page.correlations = identification.correlations;
+            let parameters = identification.parameters.into_iter().zip(structure.parameters());
+            let line = |(report, parameter): (ParameterReport, &spandrel_structure::Parameter)| ParameterLine {
+                verdict: verdict(&report.name, &page.findings),
+                name: report.name,
+                prior_mean: parameter.mean(),
+                prior_std: report.prior_std,
+                std_after: report.std_after,
+                std_steady: report.std_steady,
+                std_reported: report.std_reported,
+                settling_s: report.settling_s,
+                shifts: report.shifts,
+            };
+            page.parameters = parameters.map(line).collect();
+            let levels = identification.noise_levels.into_iter().zip(structure.noise_levels());
+            let line = |(report, level): (spandrel_structure::NoiseLevelReport, &spandrel_structure::NoiseLevel)| {
+                NoiseLevelLine {
+                    name: report.name,
+                    std: level.std(),
+                    unit: unit(structure, level.source()),
+                    adapted: report.adapted,
+                    relative_std_after: report.relative_std_after,
+                    haste: report.haste,
+                }
+            };
+            page.noise_levels = levels.map(line).collect();
+        }
+        page
+    }
+}
+
+/// A standard deviation, ratio to nominal.
+fn deviation(value: f64) -> String {
+    if value < SMALL { format!("{value:.1e}") } else { format!("{value:.4}") }
+}
+
+/// The unit in which the level of a source is stated.
+fn unit(structure: &Structure, source: &NoiseSource) -> &'static str {
+    match source {
+        NoiseSource::Excitation(component) => structure.excitations().get(*component).map_or("", |e| e.unit()),
+        NoiseSource::Sensors(rows) => {
+            let channel = rows.first().and_then(|row| structure.observation_channels().get(*row));
+            channel
+                .and_then(|channel| structure.channels().nth(*channel))
+                .map_or("", |channel| channel.quantity().unit())
+        }
+    }
+}
+
+/// What the findings mean for one parameter, the worst of them.
+fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
+    let verdicts = findings.iter().filter_map(|line| match &line.finding {
+        Finding::Uninformed { parameter: of, .. } if of == parameter => Some("not identified".to_owned()),
+        Finding::ParametersConfounded { first, second, .. } if first == parameter => {
+            Some(format!("not apart from {second}"))
+        }
+        Finding::ParametersConfounded { first, second, .. } if second == parameter => {
+            Some(format!("not apart from {first}"))
+        }
+        Finding::LevelConfounded { parameter: of, level, adapted, .. } if of == parameter => Some(match adapted {
+            true => format!("not apart from the level of {level}"),
+            false => format!("rests on the level of {level}"),
+        }),
+        Finding::SlowToSettle { parameter: of, .. } if of == parameter => Some("slow".to_owned()),
+        Finding::NotObservable
+        | Finding::Uninformed { .. }
+        | Finding::ParametersConfounded { .. }
+        | Finding::LevelConfounded { .. }
+        | Finding::SlowToSettle { .. }
+        | Finding::HastyLevel { .. }
+        | Finding::SubstepsNeeded { .. } => None,
+    });
+    verdicts.reduce(|worst, _| worst).unwrap_or_else(|| "identified".to_owned())
+}
+
+/// What to do about a finding, where its text does not say so.
+fn advice(structure: &Structure, finding: &Finding) -> Option<String> {
+    match finding {
+        Finding::NotObservable => Some("give the model damping, or put a sensor where that mode moves".to_owned()),
+        Finding::Uninformed { parameter, .. } => Some(format!(
+            "put a sensor next to what {parameter} scales, measure for longer, or take it as known and leave it out"
+        )),
+        Finding::ParametersConfounded { first, second, .. } => {
+            Some(format!("put a sensor between what {first} and {second} scale, or let one parameter scale both"))
+        }
+        Finding::LevelConfounded { parameter, level, .. } => {
+            let is_excitation = |source: &NoiseSource| matches!(source, NoiseSource::Excitation(_));
+            let excites = structure.noise_levels().iter().any(|l| l.name() == level && is_excitation(l.source()));
+            Some(if excites {
+                format!(
+                    "measure {level} on a channel (measured-on), or keep in mind that {parameter} is as right as that level"
+                )
+            } else {
+                format!("calibrate the noise of {level}, or keep in mind that {parameter} is as right as that level")
+            })
+        }
+        Finding::SlowToSettle { parameter, .. } => {
+            Some(format!("put a sensor that tells more of {parameter}, or ask its alert rule for a longer sustain-s"))
+        }
+        Finding::HastyLevel { .. } | Finding::SubstepsNeeded { .. } => None,
+    }
+}
+
+impl fmt::Display for CheckPage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { structure, description, sampling_rate_hz, degrees_of_freedom, channels, nodes, .. } = self;
+        let separator = if description.is_empty() { "" } else { ": " };
+        writeln!(f, "{structure}{separator}{description}")?;
+        writeln!(
+            f,
+            "{degrees_of_freedom} degrees of freedom, {channels} channels on {nodes} nodes, {sampling_rate_hz} Hz"
+        )?;
+        self.write_modes(f)?;
+        self.write_parameters(f)?;
+        self.write_noise_levels(f)?;
+        self.write_findings(f)
+    }
+}
+
+impl CheckPage {
+    fn write_modes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "\nnatural modes as designed\n")?;
+        writeln!(f, "  mode  frequency (Hz)  period (s)  damping (%)")?;
+        for (mode, number) in self.modes.iter().zip(1..).take(MODES_SHOWN) {
+            let ModeReport { frequency_hz, period_s, damping_ratio, .. } = mode;
+            writeln!(f, "  {number:>4}  {frequency_hz:>14.4}  {period_s:>10.4}  {:>11.2}", 100.0 * damping_ratio)?;
+        }
+        let TimeStepReport { highest_frequency_hz, rate_times_step, substeps, series_order } = &self.time_step;
+        if self.modes.len() > MODES_SHOWN {
+            writeln!(f, "  and {} more, up to {highest_frequency_hz:.2} Hz", self.modes.len() - MODES_SHOWN)?;
+        }
+        writeln!(
+            f,
+            "\n  largest rate times time step (ω Δt) {rate_times_step:.3}: {} of {series_order} terms per step",
+            match substeps {
+                1 => "1 series".to_owned(),
+                several => format!("{several} substeps, each a series"),
+            }
+        )
+    }
+
+    fn write_parameters(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (Some(after_s), Some(memory_s)) = (self.after_s, self.memory_s) else { return Ok(()) };
+        writeln!(f, "\nparameters (ratios to nominal), with a memory of {memory_s:.1} s\n")?;
+        let width = self.name_width();
+        let after = format!("after {after_s:.0} s");
+        writeln!(
+            f,
+            "  {:width$}  {:>13}  {after:>12}  {:>8}  {:>8}  {:>11}  verdict",
+            "parameter", "prior", "long run", "reported", "settles (s)"
+        )?;
+        for line in &self.parameters {
+            let ParameterLine { name, prior_mean, prior_std, std_after, std_steady, std_reported, settling_s, .. } =
+                line;
+            writeln!(
+                f,
+                "  {name:width$}  {prior_mean:.3} ± {prior_std:.3}  {:>12}  {:>8}  {:>8}  {settling_s:>11.1}  {}",
+                deviation(*std_after),
+                deviation(*std_steady),
+                deviation(*std_reported),
+                line.verdict
+            )?;
+        }
+        writeln!(
+            f,
+            "\n  standard deviations after {after_s:.0} s and in the long run: what the data hold; reported: what the filter will\n  \
+             claim in the long run; settles: time in which an error of the estimate falls to a third"
+        )?;
+        self.write_sensitivities(f, width)
+    }
+
+    fn write_sensitivities(&self, f: &mut fmt::Formatter<'_>, width: usize) -> fmt::Result {
+        let shown = self.modes.len().min(SENSITIVITIES_SHOWN);
+        writeln!(f, "\nchange of the natural frequencies, in % for 1 % of each parameter\n")?;
+        write!(f, "  {:width$}", "parameter")?;
+        for number in 1..=shown {
+            write!(f, "  {:>8}", format!("mode {number}"))?;
+        }
+        writeln!(f)?;
+        for (index, line) in self.parameters.iter().enumerate() {
+            write!(f, "  {:width$}", line.name)?;
+            for mode in self.modes.iter().take(shown) {
+                write!(f, "  {:>8.3}", mode.sensitivity.get(index).copied().unwrap_or(0.0))?;
+            }
+            writeln!(f)?;
+        }
+        Ok(())
+    }
+
+    fn write_noise_levels(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Some(after_s) = self.after_s else { return Ok(()) };
+        let width = self.name_width();
+        writeln!(f, "\nnoise levels (standard deviations)\n")?;
+        let after = format!("known after {after_s:.0} s to");
+        writeln!(f, "  {:width$}  {:>14}  {:>7}  {after:>20}", "noise level", "stated", "adapted")?;
+        for line in &self.noise_levels {
+            let unit = if line.unit == "1" { "" } else { line.unit };
+            let stated =
+                if line.std < SMALL { format!("{:e} {unit}", line.std) } else { format!("{} {unit}", line.std) };
+            let stated = stated.trim_end();
+            let adapted = if line.adapted { "yes" } else { "no" };
+            let known = format!("{:.1} %", 100.0 * line.relative_std_after);
+            writeln!(f, "  {:width$}  {stated:>14}  {adapted:>7}  {known:>20}", line.name)?;
+        }
+        Ok(())
+    }
+
+    fn write_findings(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f)?;
+        for FindingLine { severity, text, advice, .. } in &self.findings {
+            let label = match severity {
+                Severity::Warning => "warning",
+                Severity::Note => "note",
+            };
+            writeln!(f, "{label}: {text}")?;
+            if let Some(advice) = advice {
+                writeln!(f, "  {advice}")?;
+            }
+        }
+        if self.findings.is_empty() {
+            writeln!(f, "nothing to warn of: these sensors tell all parameters apart")?;
+        }
+        Ok(())
+    }
+
+    /// One JSON object on one line.
+    pub fn json(&self) -> String {
+        // names and numbers only: this cannot fail
+        serde_json::to_string(self).map_or_else(|error| error.to_string(), |line| line + "\n")
+    }
+
+    /// Width of the column of names.
+    fn name_width(&self) -> usize {
+        let names =
+            self.parameters.iter().map(|line| &line.name).chain(self.noise_levels.iter().map(|line| &line.name));
+        names.map(|name| name.len()).max().unwrap_or(0).max("noise level".len())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    const DEMO: &str = include_str!("../../../docs/examples/demo.toml");
+    const OUTPUT_ONLY: &str = include_str!("../../../docs/examples/output-only.toml");
+
+    fn page(text: &str) -> CheckPage {
+        let structure = Structure::parse(text, Path::new("example.toml")).unwrap_or_else(|error| panic!("{error}"));
+        CheckPage::new(&structure, structure.check(60.0, 1))
+    }
+
+    #[test]
+    fn demo_is_told_with_its_modes_parameters_and_levels() {
+        let text = page(DEMO).to_string();
+        for part in [
+            "demo: five-storey building, ground motion measured",
+            "5 degrees of freedom, 6 channels on 6 nodes, 100 Hz",
+            // the file asks for a first frequency of 1 Hz, and for 2 % of damping in modes 1 and 2
+            "     1          1.0000      1.0000         2.00\n",
+            "1.000 ± 0.200",
+            "0.005 m/s2",
+        ] {
+            assert!(text.contains(part), "no {part:?} in\n{text}");
+        }
+        for storey in 1..=5 {
+            let is_told =
+                |line: &str| line.starts_with(&format!("  storey-{storey} ")) && line.ends_with("  identified");
+            assert!(text.lines().any(is_told), "storey-{storey} is not identified in\n{text}");
+        }
+        assert!(!text.contains("warning"), "{text}");
+    }
+
+    /// A shear building: scaling all stiffnesses by 1 % raises each frequency by 0.5 %.
+    #[test]
+    fn sensitivities_of_all_storeys_add_up_to_one_half() {
+        for mode in page(DEMO).modes {
+            assert!((mode.sensitivity.iter().sum::<f64>() - 0.5).abs() < 1e-9, "{mode:?}");
+        }
+    }
+
+    #[test]
+    fn without_a_sensor_at_the_ground_storey_1_and_its_level_are_named_with_what_to_do() {
+        let text = page(OUTPUT_ONLY).to_string();
+        let mut lines = text.lines();
+        let finding = lines.find(|line| line.contains("storey-1 and the level of ground"));
+        assert!(finding.is_some(), "{text}");
+        assert!(lines.next().is_some_and(|line| line.contains("measure ground on a channel")), "{text}");
+        assert!(text.contains("rests on the level of ground"), "{text}");
+    }
+
+    #[test]
+    fn adapting_a_level_that_cannot_be_told_from_a_parameter_is_a_warning() {
+        let text = page(&OUTPUT_ONLY.replace("adapt = false", "adapt = true")).to_string();
+        assert!(text.contains("warning: storey-1 and the level of ground"), "{text}");
+        assert!(text.contains("not apart from the level of ground"), "{text}");
+    }
+
+    #[test]
+    fn json_has_the_documented_fields() {
+        let json: serde_json::Value = serde_json::from_str(&page(OUTPUT_ONLY).json()).unwrap();
+        for field in
+            ["structure", "sampling_rate_hz", "degrees_of_freedom", "time_step", "after_s", "memory_s", "correlations"]
+        {
+            assert!(!json[field].is_null(), "{field} in {json}");
+        }
+        assert_eq!(json["parameters"][0]["name"], "storey-1");
+        assert_eq!(json["noise_levels"][0]["unit"], "m/s2");
+        assert_eq!(json["modes"][0]["sensitivity"].as_array().map(Vec::len), Some(5));
+        let findings = json["findings"].as_array().unwrap();
+        let rests = |f: &&serde_json::Value| f["kind"] == "level-confounded" && f["parameter"] == "storey-1";
+        let finding = findings.iter().find(rests).unwrap_or_else(|| panic!("{json}"));
+        assert_eq!((&finding["severity"], &finding["level"]), (&"note".into(), &"ground".into()));
+        assert!(finding["text"].is_string() && finding["advice"].is_string());
+    }
+}

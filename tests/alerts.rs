@@ -1,0 +1,183 @@
+//! From damage to an acknowledged alert, through the services: the life of an alert as people see it.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+mod support;
+
+use spandrel_bus::{AlertMessage, AlertState, Bus, Name, Subscription};
+use support::{DEADLINE, Process, Record, Site, put_raw, spandrel, two_storeys, within};
+
+/// Damage of storey 2 at 20 s; a rule against the design.
+const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
+                       [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
+/// Storey 2 has 90 % of its design stiffness when it is built, and is damaged at 40 s; a rule against what was learnt.
+const WEAK_FROM_THE_START: &str = "[[alert]]\nparameters = [\"storey-2\"]\nloss = 0.05\nsustain-s = 5\n\
+                                   reference = { learn-s = 25 }\n\
+                                   [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 0\nloss = 0.10\n\
+                                   [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 40\nloss = 0.18\n";
+
+/// Services that run, and all that they say of alerts.
+struct Watched {
+    site: Site,
+    _services: Process,
+    bus: Bus,
+    alerts: Subscription<AlertMessage>,
+    heard: Vec<AlertMessage>,
+}
+
+impl Watched {
+    async fn start(structure: &str) -> Self {
+        let site = Site::with(&two_storeys(structure));
+        let services = site.run();
+        Self::join(site, services).await
+    }
+
+    async fn join(site: Site, services: Process) -> Self {
+        let bus = site.join().await;
+        site.wait_for_services(&bus).await;
+        let alerts = bus.subscribe(site.keys().all_alerts(), 4096).await.unwrap();
+        Self { site, _services: services, bus, alerts, heard: Vec::new() }
+    }
+
+    /// Replays a record, and listens until storey 2 reaches a state.
+    async fn replay_until(&mut self, record: &Record, state: AlertState) -> AlertMessage {
+        let replay = self.site.replay(record, "max");
+        let alert = self.heard_of_storey_2(state).await;
+        replay.wait().expect_code(0);
+        alert
+    }
+
+    async fn heard_of_storey_2(&mut self, state: AlertState) -> AlertMessage {
+        loop {
+            let (_, alert) = within(&format!("storey-2 {state:?}"), self.alerts.messages().recv_async()).await.unwrap();
+            self.heard.push(alert.clone());
+            if alert.parameter.as_str() == "storey-2" && alert.state == state {
+                return alert;
+            }
+        }
+    }
+
+    fn states_of(&self, parameter: &str) -> Vec<AlertState> {
+        self.heard.iter().filter(|alert| alert.parameter.as_str() == parameter).map(|alert| alert.state).collect()
+    }
+
+    async fn acknowledge(&self, parameter: &str, json: &str) {
+        let key = self.site.keys().acknowledge(&Name::new(parameter).unwrap());
+        put_raw(&self.bus, &key, "application/json", json.into()).await;
+    }
+}
+
+/// Seconds of measurement time.
+fn seconds(time_ns: i64) -> f64 {
+    time_ns as f64 * 1e-9
+}
+
+#[track_caller]
+fn assert_says(alert: &AlertMessage, parts: &[&str]) {
+    for part in parts {
+        assert!(alert.why.contains(part), "why of the alert\n  expected {part}\n  found    {}", alert.why);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn damage_is_pending_for_the_sustain_time_and_then_raised() {
+    let mut watched = Watched::start(DAMAGED).await;
+    let record = watched.site.simulate(60.0);
+    let raised = watched.replay_until(&record, AlertState::Raised).await;
+    let states = watched.states_of("storey-2");
+    assert_eq!(states[states.len() - 2..], [AlertState::Pending, AlertState::Raised], "all states: {states:?}");
+    let since_s = seconds(raised.since_ns.unwrap());
+    assert!((20.0..40.0).contains(&since_s), "credible since {since_s} s, damaged at 20 s");
+    let sustained_s = seconds(raised.time_ns) - since_s;
+    assert!((sustained_s - 5.0).abs() < 0.011, "raised {sustained_s} s after the loss was credible, the rule says 5 s");
+    assert!(!watched.states_of("storey-1").contains(&AlertState::Raised), "storey 1 is sound: {:?}", watched.heard);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_raised_alert_says_what_has_lost_how_much_how_surely_and_since_when() {
+    let mut watched = Watched::start(DAMAGED).await;
+    let record = watched.site.simulate(60.0);
+    let raised = watched.replay_until(&record, AlertState::Raised).await;
+    let since = format!("since {:.2} s", seconds(raised.since_ns.unwrap()));
+    let loss = raised.loss.unwrap();
+    assert_says(
+        &raised,
+        &["storey-2 has lost", "of its stiffness", "95 % interval", "more than 5 %", "probability", &since],
+    );
+    assert!(raised.credibility >= 0.99 && raised.rule_credibility == 0.99, "{raised:?}");
+    assert!((0.05..0.20).contains(&loss), "loss {loss} on the way from 0 to 0.15");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_alert_is_acknowledged_by_json_with_name_and_note() {
+    let mut watched = Watched::start(DAMAGED).await;
+    let record = watched.site.simulate(60.0);
+    watched.replay_until(&record, AlertState::Raised).await;
+    let json = r#"{"structure": "house", "parameter": "storey-2", "time_ns": 0, "who": "anna", "note": "crew sent"}"#;
+    watched.acknowledge("storey-2", json).await;
+    let acknowledged = watched.heard_of_storey_2(AlertState::Acknowledged).await;
+    assert_eq!(acknowledged.acknowledged_by.as_deref(), Some("anna"));
+    assert_says(&acknowledged, &["acknowledged by anna: crew sent"]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn whoever_asks_later_gets_the_last_alert() {
+    let mut watched = Watched::start(DAMAGED).await;
+    let record = watched.site.simulate(60.0);
+    let raised = watched.replay_until(&record, AlertState::Raised).await;
+    let keys = watched.site.keys();
+    let later = watched.site.join().await;
+    let of_storey_2 = later.ask::<AlertMessage>(&keys.alert(&raised.parameter), DEADLINE).await.unwrap();
+    assert_eq!(of_storey_2, [(keys.alert(&raised.parameter), raised.clone())]);
+    let of_all = later.ask::<AlertMessage>(&keys.all_alerts(), DEADLINE).await.unwrap();
+    assert!(of_all.contains(&(keys.alert(&raised.parameter), raised)), "answers to alert/*: {of_all:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rule_with_a_learnt_reference_finds_damage_of_what_was_weak_from_the_start() {
+    let mut watched = Watched::start(WEAK_FROM_THE_START).await;
+    let record = watched.site.simulate(80.0);
+    let raised = watched.replay_until(&record, AlertState::Raised).await;
+    let states = watched.states_of("storey-2");
+    assert_eq!(states[..2], [AlertState::Learning, AlertState::Normal], "all states: {states:?}");
+    let (reference, since_s) = (raised.reference.unwrap(), seconds(raised.since_ns.unwrap()));
+    assert!((reference - 0.90).abs() < 0.02, "learnt {reference}, built with 0.90");
+    assert!((40.0..60.0).contains(&since_s), "credible since {since_s} s, damaged at 40 s");
+    assert_says(&raised, &["storey-2 has lost"]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sound_values_from_recordings_take_the_place_of_learning() {
+    let site = Site::with(&two_storeys(WEAK_FROM_THE_START));
+    let sound = site.simulate(38.0);
+    let baseline = site.folder().join("house.baseline.json");
+    let mut learn = spandrel("baseline");
+    learn.arg(site.structure_file()).arg("--record").arg(sound.path()).arg("--output").arg(&baseline);
+    Process::start(&mut learn).wait().expect_code(0);
+    let configuration = site.folder().join("spandrel.toml");
+    std::fs::write(&configuration, "[baselines]\nhouse = \"house.baseline.json\"\n").unwrap();
+    let services = Process::start(site.listening("run").arg("--config").arg(&configuration));
+    services.wait_for_log("ready structures=1");
+    let mut watched = Watched::join(site, services).await;
+    let record = watched.site.simulate(80.0);
+    let raised = watched.replay_until(&record, AlertState::Raised).await;
+    let reference = raised.reference.unwrap();
+    assert!((reference - 0.90).abs() < 0.02, "learnt {reference}, built with 0.90");
+    assert!(!watched.states_of("storey-2").contains(&AlertState::Learning), "{:?}", watched.states_of("storey-2"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_alert_service_that_was_killed_comes_to_the_same_alert_again() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let ingest = Process::start(&mut site.listening("ingest"));
+    ingest.wait_for_log("ready structures=1");
+    let _identify = Process::start(&mut site.connecting("identify"));
+    let alert = Process::start(&mut site.connecting("alert"));
+    let mut watched = Watched::join(site, ingest).await;
+    let record = watched.site.simulate(60.0);
+    let raised = watched.replay_until(&record, AlertState::Raised).await;
+    alert.kill();
+    let _alert = Process::start(&mut watched.site.connecting("alert"));
+    let again = watched.heard_of_storey_2(AlertState::Raised).await;
+    assert_eq!(again, raised);
+}

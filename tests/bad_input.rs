@@ -1,0 +1,408 @@
+//! What the command line says of bad input, and with which exit code: 2 for files and usage, 1 for all else.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+mod support;
+
+use std::io::Write;
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use support::{Finished, Process, Record, Site, free_endpoint, spandrel, two_storeys};
+use tempfile::TempDir;
+
+const BAD_INPUT: i32 = 2;
+const FAILED: i32 = 1;
+
+/// All subcommands.
+const SUBCOMMANDS: [&str; 11] =
+    ["demo", "run", "ingest", "identify", "alert", "simulate", "replay", "estimate", "baseline", "check", "watch"];
+
+fn finish(command: &mut Command) -> Finished {
+    Process::start(command).wait()
+}
+
+/// Writes a file in a folder that lasts as long as the test.
+fn write(folder: &TempDir, name: &str, text: &str) -> PathBuf {
+    let path = folder.path().join(name);
+    std::fs::File::create(&path).unwrap().write_all(text.as_bytes()).unwrap();
+    path
+}
+
+/// The line of a text, counted from 1, on which `part` is.
+fn line_of(text: &str, part: &str) -> usize {
+    1 + text.lines().position(|line| line.contains(part)).unwrap()
+}
+
+/// Lets `simulate` and `run` read a structure file; both must refuse it with `told` at the line of `part`.
+#[track_caller]
+fn assert_refused(structure: &str, part: &str, told: &[&str]) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = write(&folder, "tower.toml", structure);
+    let place = format!("{}:{}: ", path.display(), line_of(structure, part));
+    let told: Vec<&str> = std::iter::once(place.as_str()).chain(told.iter().copied()).collect();
+    let mut simulate = spandrel("simulate");
+    finish(simulate.arg(&path).arg("--record").arg(folder.path().join("x.csv")))
+        .expect_code(BAD_INPUT)
+        .expect_told(&told);
+    let mut run = spandrel("run");
+    finish(run.arg(&path).args(["--listen", "tcp/127.0.0.1:0"])).expect_code(BAD_INPUT).expect_told(&told);
+}
+
+/// The two-storey building with one text replaced.
+fn building_with(old: &str, new: &str) -> String {
+    let structure = two_storeys("");
+    assert!(structure.contains(old), "the building has no {old}");
+    structure.replacen(old, new, 1)
+}
+
+#[test]
+fn unknown_key_of_a_structure_is_named_with_its_line_and_a_hint() {
+    let structure = building_with("mass-kg = 20_000", "mass-kg = 20_000\nmass-hg = 1");
+    assert_refused(&structure, "mass-hg", &["model.mass-hg", "not a known key", "mass-kg"]);
+}
+
+#[test]
+fn wrong_unit_is_named_with_the_right_one() {
+    let structure = building_with("unit = \"m/s\"\n", "unit = \"g\"\n");
+    assert_refused(&structure, "unit = \"g\"", &["node.channel.unit", "\"g\"", "m/s"]);
+}
+
+#[test]
+fn negative_mass_is_refused() {
+    let structure = building_with("mass-kg = 20_000", "mass-kg = -20_000");
+    assert_refused(&structure, "-20_000", &["model.mass-kg", "-20000", "above 0"]);
+}
+
+#[test]
+fn duplicate_names_are_refused() {
+    let structure = building_with("[[node]]\nname = \"floor-1\"", "[[node]]\nname = \"ground\" # again");
+    assert_refused(&structure, "# again", &["node.name", "ground"]);
+}
+
+#[test]
+fn parameter_without_effect_is_refused() {
+    let structure = two_storeys("[[parameter]]\nname = \"alpha\"\nscales = \"damping-alpha\" # none\n");
+    let structure = structure.replace("ratio = 0.02", "beta-s = 0.01");
+    let line = "[[parameter]]\nname = \"alpha\"".lines().next().unwrap();
+    let last = structure.lines().count() - structure.lines().rev().position(|text| text == line).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = write(&folder, "tower.toml", &structure);
+    let place = format!("{}:{last}: ", path.display());
+    let mut command = spandrel("simulate");
+    command.arg(&path).arg("--record").arg(folder.path().join("x.csv"));
+    finish(&mut command).expect_code(BAD_INPUT).expect_told(&[&place, "parameter.scales", "no effect"]);
+}
+
+#[test]
+fn all_mistakes_of_a_structure_are_told_at_once() {
+    let structure = two_storeys("").replace("storeys = 2", "storeys = 0").replace("ratio = 0.02", "ratio = 2");
+    let ratio = format!(":{}: damping.ratio", line_of(&structure, "ratio = 2"));
+    assert_refused(&structure, "storeys = 0", &["model.storeys", &ratio]);
+}
+
+/// A structure of two degrees of freedom from matrices; `stiffness` are the entries of its second substructure.
+fn matrices(folder: &TempDir, mass: &str, stiffness: &str) -> String {
+    let matrix = |entries: &str| format!("%%MatrixMarket matrix array real general\n2 2\n{entries}\n");
+    write(folder, "m.mtx", &matrix(mass));
+    write(folder, "k1.mtx", &matrix("2e6\n-1e6\n-1e6\n1e6"));
+    write(folder, "k2.mtx", &matrix(stiffness));
+    let model = "kind = \"matrices\"\nmass = \"m.mtx\"\nsubstructures = { storey-1 = \"k1.mtx\", storey-2 = \"k2.mtx\" }\n\
+                 degrees-of-freedom = [\"floor-1\", \"floor-2\"]\n";
+    building_with("kind = \"shear-building\"\nstoreys = 2\nmass-kg = 20_000\nfirst-frequency-hz = 2.0\n", model)
+}
+
+/// Lets `simulate` read a structure of matrices, which it must refuse with `told` at the line of `part`.
+#[track_caller]
+fn assert_matrices_refused(mass: &str, stiffness: &str, part: &str, told: &[&str]) {
+    let folder = tempfile::tempdir().unwrap();
+    let structure = matrices(&folder, mass, stiffness);
+    let path = write(&folder, "tower.toml", &structure);
+    let place = format!("{}:{}: ", path.display(), line_of(&structure, part));
+    let told: Vec<&str> = std::iter::once(place.as_str()).chain(told.iter().copied()).collect();
+    let mut command = spandrel("simulate");
+    command.arg(&path).arg("--record").arg(folder.path().join("x.csv"));
+    finish(&mut command).expect_code(BAD_INPUT).expect_told(&told);
+}
+
+#[test]
+fn indefinite_stiffness_matrix_is_refused() {
+    let told = ["model.substructures.storey-2", "semidefinite"];
+    assert_matrices_refused("1e4\n0\n0\n1e4", "1e6\n2e6\n2e6\n1e6", "substructures", &told);
+}
+
+#[test]
+fn mass_matrix_without_mass_is_refused() {
+    let told = ["model.mass", "-10000", "positive definite"];
+    assert_matrices_refused("1e4\n0\n0\n-1e4", "1e6\n0\n0\n0", "mass = \"m.mtx\"", &told);
+}
+
+#[test]
+fn matrix_file_that_is_not_there_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let structure = matrices(&folder, "1e4\n0\n0\n1e4", "0\n0\n0\n1e6").replace("k2.mtx", "k3.mtx");
+    let path = write(&folder, "tower.toml", &structure);
+    let place = format!("{}:{}: ", path.display(), line_of(&structure, "substructures"));
+    let mut command = spandrel("simulate");
+    command.arg(&path).arg("--record").arg(folder.path().join("x.csv"));
+    finish(&mut command).expect_code(BAD_INPUT).expect_told(&[&place, "model.substructures.storey-2", "k3.mtx"]);
+}
+
+#[test]
+fn every_command_that_reads_a_structure_names_one_that_is_not_there() {
+    let record = Path::new("record.csv");
+    for (subcommand, more) in [
+        ("run", vec![]),
+        ("ingest", vec![]),
+        ("identify", vec![]),
+        ("alert", vec![]),
+        ("check", vec![]),
+        ("simulate", vec!["--record", "x.csv"]),
+        ("estimate", vec!["--record", "x.csv"]),
+        ("baseline", vec!["--record", "x.csv", "--output", "x.json"]),
+    ] {
+        finish(spandrel(subcommand).arg("nowhere.toml").args(more))
+            .expect_code(BAD_INPUT)
+            .expect_told(&["nowhere.toml"]);
+    }
+    let mut replay = spandrel("replay");
+    finish(replay.arg(record).args(["--structure", "nowhere.toml"]))
+        .expect_code(BAD_INPUT)
+        .expect_told(&["nowhere.toml"]);
+}
+
+/// Lets `estimate` and `replay` read a record, which both must refuse with `told`.
+#[track_caller]
+fn assert_record_refused(site: &Site, record: &Path, told: &[&str]) {
+    let mut estimate = spandrel("estimate");
+    estimate.arg(site.structure_file()).arg("--record").arg(record);
+    finish(&mut estimate).expect_code(BAD_INPUT).expect_told(told);
+    let mut replay = spandrel("replay");
+    replay.arg(record).arg("--structure").arg(site.structure_file()).args(["--connect", &free_endpoint()]);
+    finish(&mut replay).expect_code(BAD_INPUT).expect_told(told);
+}
+
+/// A site with a record whose text is changed.
+fn record_with(change: impl FnOnce(String) -> String) -> (Site, Record, String) {
+    let site = Site::with(&two_storeys(""));
+    let record = site.simulate(5.0);
+    let text = change(std::fs::read_to_string(record.path()).unwrap());
+    std::fs::write(record.path(), &text).unwrap();
+    let name = record.path().display().to_string();
+    (site, record, name)
+}
+
+/// A text with one line changed, counted from 1.
+fn with_line(text: &str, number: usize, change: impl Fn(&str) -> String) -> String {
+    let lines = (1..).zip(text.lines()).map(|(at, line)| if at == number { change(line) } else { line.to_owned() });
+    lines.map(|line| line + "\n").collect()
+}
+
+#[test]
+fn record_without_columns_is_told_which_are_missing_and_which_are_there() {
+    let (site, record, name) = record_with(|text| text.replacen(",roof,", ",tower,", 1));
+    assert_record_refused(&site, record.path(), &[&format!("{name}:1: "), "`roof`", "`tower`"]);
+}
+
+#[test]
+fn ragged_row_is_named_by_its_line() {
+    let (site, record, name) = record_with(|text| with_line(&text, 42, |line| line.to_owned() + ",1"));
+    assert_record_refused(&site, record.path(), &[&format!("{name}:42: "), "6 fields", "5"]);
+}
+
+#[test]
+fn field_that_is_no_number_is_named_by_line_and_column() {
+    let much = |line: &str| format!("{},much", line.rsplit_once(',').unwrap().0);
+    let (site, record, name) = record_with(|text| with_line(&text, 8, much));
+    assert_record_refused(&site, record.path(), &[&format!("{name}:8: "), "`roof-velocity`", "`much`"]);
+}
+
+#[test]
+fn record_of_another_rate_is_told_both_rates() {
+    let (site, mut record, _) = record_with(|text| text);
+    for row in 1..record.len() {
+        record.delay_from(row, 0.01);
+    }
+    record.save_as("slow.csv");
+    assert_record_refused(&site, record.path(), &["slow.csv", "50.0000 Hz", "100 Hz"]);
+}
+
+#[test]
+fn record_of_no_known_format_is_told_the_known_ones() {
+    let (site, record, _) = record_with(|text| text);
+    let path = record.path().with_extension("xyz");
+    std::fs::copy(record.path(), &path).unwrap();
+    assert_record_refused(&site, &path, &["record.xyz", "no known format", ".csv"]);
+}
+
+#[test]
+fn record_that_is_not_there_is_named() {
+    let (site, record, _) = record_with(|text| text);
+    assert_record_refused(&site, &record.path().with_file_name("nowhere.csv"), &["nowhere.csv"]);
+}
+
+// What is looked at before anything is put are the first 1000 rows.
+#[test]
+fn mistake_far_down_a_record_is_bad_input_on_both_routes() {
+    let site = Site::with(&two_storeys(""));
+    let record = site.simulate(15.0);
+    let text = std::fs::read_to_string(record.path()).unwrap();
+    std::fs::write(record.path(), with_line(&text, 1401, |line| line.to_owned() + ",1")).unwrap();
+    let place = format!("{}:1401: ", record.path().display());
+    let mut estimate = spandrel("estimate");
+    estimate.arg(site.structure_file()).arg("--record").arg(record.path());
+    finish(&mut estimate).expect_code(BAD_INPUT).expect_told(&[&place]);
+    let _services = site.run();
+    site.replay(&record, "max").wait().expect_code(BAD_INPUT).expect_told(&[&place]);
+}
+
+#[test]
+fn wrong_configuration_is_named_by_file_and_key() {
+    let folder = tempfile::tempdir().unwrap();
+    for (text, key) in [
+        ("thread = 3\n", "thread"),
+        ("threads = 0\n", "threads"),
+        ("[bus]\nlisten = 7\n", "bus.listen"),
+        ("[bus]\nroots = \"a\"\n", "roots"),
+        ("structures = \n", "spandrel.toml"),
+    ] {
+        let path = write(&folder, "spandrel.toml", text);
+        finish(spandrel("run").arg("--config").arg(path)).expect_code(BAD_INPUT).expect_told(&["spandrel.toml", key]);
+    }
+}
+
+#[test]
+fn configuration_that_is_not_there_is_named() {
+    let mut command = spandrel("run");
+    finish(command.args(["--config", "nowhere.toml"])).expect_code(BAD_INPUT).expect_told(&["nowhere.toml"]);
+}
+
+#[test]
+fn wrong_variable_is_named() {
+    let site = Site::with(&two_storeys(""));
+    for (variable, value, told) in [
+        ("SPANDREL_THREADS", "many", "threads"),
+        ("SPANDREL_BUS__MODE", "boss", "mode"),
+        ("SPANDREL_BUS__ROOTS", "a", "roots"),
+    ] {
+        let mut command = spandrel("run");
+        let finished = finish(command.arg(site.structure_file()).env(variable, value)).expect_code(BAD_INPUT);
+        finished.expect_told(&[told, "SPANDREL_"]);
+    }
+}
+
+#[test]
+fn root_that_is_no_name_is_refused() {
+    let site = Site::with(&two_storeys(""));
+    let mut command = spandrel("run");
+    let finished = finish(command.arg(site.structure_file()).args(["--root", "a/b"])).expect_code(BAD_INPUT);
+    finished.expect_told(&["\"a/b\"", "'/'"]);
+}
+
+#[test]
+fn no_structure_at_all_is_bad_usage() {
+    finish(&mut spandrel("run")).expect_code(BAD_INPUT).expect_told(&["no structure"]);
+}
+
+#[test]
+fn two_structures_of_one_name_are_refused_by_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let paths = ["one.toml", "two.toml"].map(|name| write(&folder, name, &two_storeys("")));
+    let finished = finish(spandrel("run").args(paths)).expect_code(BAD_INPUT);
+    finished.expect_told(&["one.toml", "two.toml", "`house`"]);
+}
+
+#[test]
+fn port_in_use_is_named_with_what_to_do() {
+    let site = Site::with(&two_storeys(""));
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
+    for subcommand in ["run", "ingest"] {
+        let mut command = spandrel(subcommand);
+        let finished = finish(command.arg(site.structure_file()).args(["--listen", &endpoint])).expect_code(FAILED);
+        finished.expect_told(&[&endpoint, "cannot listen", "bus.listen"]);
+    }
+}
+
+#[test]
+fn nobody_at_the_endpoint_to_connect_to_ends_the_program() {
+    let site = Site::with(&two_storeys(""));
+    let endpoint = free_endpoint();
+    let mut command = spandrel("identify");
+    let finished = finish(command.arg(site.structure_file()).args(["--connect", &endpoint])).expect_code(FAILED);
+    finished.expect_told(&[&endpoint, "nobody answers"]);
+}
+
+#[test]
+fn bad_usage_ends_with_2() {
+    for arguments in [
+        vec!["fly"],
+        vec!["run", "--fly"],
+        vec!["simulate"],
+        vec!["simulate", "a.toml", "--duration", "-1"],
+        vec!["replay", "a.csv", "--structure", "a.toml", "--speed", "fast"],
+        vec!["estimate", "a.toml"],
+        vec!["completions", "cmd"],
+    ] {
+        let mut command = spandrel(arguments[0]);
+        let finished = finish(command.args(&arguments[1..])).expect_code(BAD_INPUT);
+        finished.expect_told(&["error:"]);
+    }
+}
+
+#[test]
+fn reader_of_the_result_may_leave() {
+    let site = Site::with(&two_storeys(""));
+    let record = site.simulate(5.0);
+    let mut estimate = spandrel("estimate");
+    estimate.arg(site.structure_file()).arg("--record").arg(record.path()).arg("--json");
+    let mut completions = spandrel("completions");
+    completions.arg("bash");
+    for command in [&mut estimate, &mut completions] {
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop(child.stdout.take()); // as `| head -0` does
+        let output = child.wait_with_output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!told.contains("panicked"), "{command:?} with a closed pipe panicked:\n{told}");
+        assert_eq!(output.status.code(), Some(0), "{command:?} with a closed pipe:\n{told}");
+    }
+}
+
+#[test]
+fn reader_of_the_errors_may_leave() {
+    let mut child = spandrel("check").arg("nowhere.toml").stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stderr.take());
+    assert_eq!(child.wait().unwrap().code(), Some(BAD_INPUT), "exit code with standard error closed");
+}
+
+#[test]
+fn help_of_every_subcommand_shows_an_example() {
+    for subcommand in SUBCOMMANDS.into_iter().chain(["completions"]) {
+        let finished = finish(spandrel(subcommand).arg("--help")).expect_code(0);
+        let example = format!("spandrel {subcommand}");
+        let has_example = finished.stdout.contains("Example") && finished.stdout.matches(&example).count() >= 2;
+        assert!(has_example, "expected an example of {example}, found:\n{}", finished.stdout);
+    }
+}
+
+#[test]
+fn completions_are_scripts_that_their_shell_can_read() {
+    let script = finish(spandrel("completions").arg("bash")).expect_code(0).stdout;
+    for subcommand in SUBCOMMANDS {
+        assert!(script.contains(subcommand), "no {subcommand} in the completions");
+    }
+    let mut bash = Command::new("bash").arg("-n").stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    bash.stdin.take().unwrap().write_all(script.as_bytes()).unwrap();
+    let output = bash.wait_with_output().unwrap();
+    assert!(output.status.success(), "bash -n: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn a_result_that_cannot_be_written_names_its_file() {
+    let (site, record, _) = record_with(|text| text);
+    let mut command = spandrel("estimate");
+    command.arg(site.structure_file()).arg("--record").arg(record.path());
+    let finished = finish(command.args(["--output", "/nowhere/estimates.csv"]));
+    assert!(finished.code.is_some_and(|code| code != 0), "exit code {:?}", finished.code);
+    finished.expect_told(&["/nowhere/estimates.csv"]);
+}

@@ -1,0 +1,376 @@
+//! What comes over the bus can be wrong in every way: the services drop it under a name and go on with the right numbers.
+//!
+//! In each test sound sensors send a record to a running `spandrel run`, and something is wrong in the middle. What is identified
+//! must be, to the bit, what `spandrel estimate` finds in the record without the samples that were lost.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+mod support;
+
+use spandrel_bus::{Acknowledgement, Bus, FrameBlock, Header, Keys, Message, Name, SampleBlock, Service, StreamState};
+use std::ops::Range;
+use support::{Drops, EstimateReader, Node, Process, Record, Sensors, Site, assert_same_bits, put_raw, two_storeys};
+
+/// Encoding of sample blocks.
+const SAMPLES: &str = "application/postcard;spandrel.samples.v1";
+/// Rows of the record; the fault comes after the first [`BEFORE`].
+const ROWS: usize = 800;
+const BEFORE: usize = 400;
+
+/// Services that run, sound sensors, and a reader of the estimates.
+struct Faulty {
+    site: Site,
+    keys: Keys,
+    services: Process,
+    bus: Bus,
+    drops: Drops,
+    reader: EstimateReader,
+    sensors: Sensors,
+    /// The record without the samples that are lost.
+    equivalent: Record,
+}
+
+impl Faulty {
+    /// Services that have identified the first [`BEFORE`] rows of the record.
+    async fn start() -> Self {
+        let mut faulty = Self::start_without_samples().await;
+        faulty.put(0..BEFORE).await;
+        faulty.identified(BEFORE).await;
+        faulty
+    }
+
+    async fn start_without_samples() -> Self {
+        let site = Site::with(&two_storeys(""));
+        let record = site.simulate(ROWS as f64 / 100.0);
+        let services = site.run();
+        let (bus, keys) = (site.join().await, site.keys());
+        site.wait_for_services(&bus).await;
+        let drops = Drops::watch(&bus, &keys).await;
+        let reader = EstimateReader::join(&bus, &keys).await;
+        let sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
+        Self { site, keys, services, bus, drops, reader, sensors, equivalent: record }
+    }
+
+    /// All nodes send these rows.
+    async fn put(&mut self, rows: Range<usize>) {
+        self.sensors.put(rows).await;
+    }
+
+    /// Puts bytes where the samples of `floor-1` are put.
+    async fn put_raw(&self, encoding: &str, payload: Vec<u8>) {
+        put_raw(&self.bus, &self.floor_1(), encoding, payload).await;
+    }
+
+    fn floor_1(&self) -> String {
+        self.keys.samples(&Name::new("floor-1").unwrap())
+    }
+
+    /// The block that `floor-1` will put next.
+    fn next_block(&mut self) -> SampleBlock {
+        let record = self.sensors.record().clone();
+        self.sensors.node("floor-1").block(&record, BEFORE..BEFORE + 100)
+    }
+
+    /// Waits until as many frames have been identified.
+    async fn identified(&mut self, count: usize) {
+        self.reader.read_frames(count).await;
+    }
+
+    /// Sends the rest of the record, and compares all estimates with the numbers of the equivalent record.
+    async fn assert_goes_on(mut self, fault: &str) {
+        self.put(BEFORE..ROWS).await;
+        self.assert_sound(fault).await;
+    }
+
+    /// Compares all estimates with the numbers of the equivalent record.
+    async fn assert_sound(mut self, fault: &str) {
+        let expected = self.site.estimate(self.equivalent.save_as("equivalent.csv"));
+        let found = self.reader.read_frames(ROWS).await;
+        assert_same_bits(fault, &expected.parameters, &expected.frames, found);
+        let log = self.services.log();
+        assert!(!log.contains("panicked"), "{fault}: a service panicked:\n{log}");
+        self.services.stop().expect_code(0);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_message_of_another_version_is_refused_on_every_stream() {
+    let mut faulty = Faulty::start().await;
+    let payload = faulty.next_block().encode().unwrap();
+    let (frames, estimates) = (faulty.keys.frames(), faulty.keys.estimates());
+    faulty.put_raw("application/postcard;spandrel.samples.v2", payload.clone()).await;
+    put_raw(&faulty.bus, &frames, "application/postcard;spandrel.frames.v9", payload.clone()).await;
+    put_raw(&faulty.bus, &estimates, SAMPLES, payload).await;
+    for service in [Service::Ingest, Service::Identify, Service::Alert] {
+        faulty.drops.expect(service, "refused-encoding", 1).await;
+    }
+    let log = faulty.services.log();
+    let both = ["spandrel.samples.v1", "spandrel.samples.v2"];
+    assert!(both.iter().all(|version| log.contains(version)), "the log names both versions:\n{log}");
+    faulty.assert_goes_on("message of another version").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_truncated_message_is_refused() {
+    let mut faulty = Faulty::start().await;
+    let mut payload = faulty.next_block().encode().unwrap();
+    payload.truncate(payload.len() - 3);
+    faulty.put_raw(SAMPLES, payload).await;
+    faulty.drops.expect(Service::Ingest, "refused-undecodable", 1).await;
+    faulty.assert_goes_on("truncated message").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_message_with_trailing_bytes_is_refused() {
+    let mut faulty = Faulty::start().await;
+    let mut payload = faulty.next_block().encode().unwrap();
+    payload.extend([0, 1, 2]);
+    faulty.put_raw(SAMPLES, payload).await;
+    faulty.drops.expect(Service::Ingest, "refused-undecodable", 1).await;
+    faulty.assert_goes_on("trailing bytes").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn random_bytes_are_refused() {
+    const MESSAGES: u64 = 50;
+    let faulty = Faulty::start().await;
+    let mut state = 20_061_u32;
+    let mut random = || {
+        // Numerical Recipes' linear congruence: its upper bits are random enough to be rubbish.
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 24) as u8
+    };
+    for length in 0..MESSAGES {
+        let payload = (0..40 * length).map(|_| random()).collect();
+        faulty.put_raw(SAMPLES, payload).await;
+    }
+    faulty.drops.expect(Service::Ingest, "refused-undecodable", MESSAGES).await;
+    faulty.assert_goes_on("random bytes").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_block_without_a_rate_is_refused() {
+    let mut faulty = Faulty::start().await;
+    for sampling_rate_hz in [0.0, -100.0, f64::NAN, f64::INFINITY] {
+        let block = SampleBlock { sampling_rate_hz, ..faulty.next_block() };
+        faulty.put_raw(SAMPLES, postcard::to_stdvec(&block).unwrap()).await;
+    }
+    faulty.drops.expect(Service::Ingest, "refused-malformed", 4).await;
+    faulty.assert_goes_on("block without a rate").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_message_of_nine_megabytes_is_refused() {
+    let faulty = Faulty::start().await;
+    faulty.put_raw(SAMPLES, vec![0; 9 << 20]).await;
+    faulty.drops.expect(Service::Ingest, "refused-too-large", 1).await;
+    faulty.assert_goes_on("message of 9 MiB").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_block_with_a_wrong_number_of_channels_is_missing() {
+    let mut faulty = Faulty::start().await;
+    let wrong = |block: &mut SampleBlock| {
+        block.channels = 2;
+        block.samples.extend_from_slice(&block.samples.clone());
+    };
+    faulty.sensors.put_changed("floor-1", 400..500, wrong).await;
+    faulty.sensors.put_all_but(&["floor-1"], 400..500).await;
+    faulty.drops.expect(Service::Ingest, "wrong-channels", 1).await;
+    faulty.equivalent.remove("floor-1", 400..500);
+    faulty.put(500..ROWS).await;
+    faulty.assert_sound("wrong number of channels").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn samples_that_nobody_can_have_measured_are_missing() {
+    let mut faulty = Faulty::start().await;
+    let wrong = |block: &mut SampleBlock| {
+        let values = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e6, -1e300, 200.1];
+        for (sample, value) in block.samples.iter_mut().zip(values) {
+            *sample = value;
+        }
+    };
+    faulty.sensors.put_changed("floor-1", 400..500, wrong).await;
+    faulty.sensors.put_all_but(&["floor-1"], 400..500).await;
+    faulty.drops.expect(Service::Ingest, "not-finite-values", 2).await;
+    faulty.drops.expect(Service::Ingest, "out-of-range-values", 3).await;
+    faulty.equivalent.remove("floor-1", 400..406);
+    faulty.put(500..ROWS).await;
+    faulty.assert_sound("samples that nobody can have measured").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_block_of_a_foreign_node_is_refused() {
+    let mut faulty = Faulty::start().await;
+    let mut block = faulty.next_block();
+    block.header.source = "floor-7".to_owned();
+    faulty.put_raw(SAMPLES, block.encode().unwrap()).await;
+    faulty.drops.expect(Service::Ingest, "foreign-blocks", 1).await;
+    faulty.assert_goes_on("foreign node").await;
+}
+
+// A higher epoch of a foreign node used to make the node itself stale for good.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_block_of_a_foreign_node_that_started_later_is_refused() {
+    let mut faulty = Faulty::start().await;
+    let mut block = faulty.next_block();
+    (block.header.source, block.header.epoch) = ("floor-7".to_owned(), 7);
+    faulty.put_raw(SAMPLES, block.encode().unwrap()).await;
+    faulty.drops.expect(Service::Ingest, "foreign-blocks", 1).await;
+    faulty.assert_goes_on("foreign node that started later").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_block_that_comes_again_counts_once() {
+    let mut faulty = Faulty::start().await;
+    let again = faulty.next_block().encode().unwrap();
+    faulty.put(BEFORE..BEFORE + 100).await;
+    for _ in 0..3 {
+        faulty.put_raw(SAMPLES, again.clone()).await;
+    }
+    faulty.drops.expect(Service::Ingest, "duplicate-items", 300).await;
+    faulty.put(BEFORE + 100..ROWS).await;
+    faulty.assert_sound("blocks that come again").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_block_of_a_lower_epoch_is_refused() {
+    let mut faulty = Faulty::start().await;
+    let mut block = faulty.next_block();
+    block.header.epoch = 0;
+    faulty.put_raw(SAMPLES, block.encode().unwrap()).await;
+    faulty.drops.expect(Service::Ingest, "stale-blocks", 1).await;
+    faulty.assert_goes_on("lower epoch").await;
+}
+
+// Its number used to be believed: the node was given up, and all its further blocks counted as old.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_block_numbered_far_ahead_of_its_node_is_refused() {
+    let mut faulty = Faulty::start().await;
+    let mut block = faulty.next_block();
+    block.header.sequence = 1 << 60;
+    faulty.put_raw(SAMPLES, block.encode().unwrap()).await;
+    faulty.drops.expect(Service::Ingest, "impossible-blocks", 1).await;
+    faulty.assert_goes_on("block numbered far ahead").await;
+}
+
+// Frames of another structure file used to panic the filter.
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_of_another_structure_are_refused() {
+    let faulty = Faulty::start().await;
+    let block = FrameBlock {
+        header: Header { source: "ingest".to_owned(), epoch: u64::MAX - 1, sequence: 0, time_ns: 0 },
+        t0_ns: 0,
+        sampling_rate_hz: 100.0,
+        channels: 2,
+        values: vec![0.0; 20],
+        state: StreamState::Running,
+    };
+    put_raw(&faulty.bus, &faulty.keys.frames(), &FrameBlock::encoding(), block.encode().unwrap()).await;
+    faulty.drops.expect(Service::Identify, "frames-of-another-structure", 1).await;
+    faulty.assert_goes_on("frames of another structure").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_sensor_that_dies_is_missing_until_it_comes_back() {
+    let mut faulty = Faulty::start().await;
+    let node = faulty.sensors.remove("floor-1");
+    let (name, channels) = (node.name.clone(), node.channels().to_vec());
+    drop(node);
+    faulty.put(400..600).await;
+    faulty.identified(600).await;
+    let node = Node::start(&faulty.bus, &faulty.keys, name, channels, 2).await;
+    faulty.sensors.add(node);
+    // What it kept while it was away comes too late; that it has been counted says that the node is waited for again.
+    faulty.sensors.put_changed("floor-1", 550..600, |_| {}).await;
+    faulty.sensors.put_changed("floor-1", 600..650, |_| {}).await;
+    faulty.drops.expect(Service::Ingest, "late-samples", 50).await;
+    faulty.sensors.put_all_but(&["floor-1"], 600..650).await;
+    faulty.equivalent.remove("floor-1", 400..600);
+    faulty.put(650..ROWS).await;
+    faulty.assert_sound("sensor that dies and comes back").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_sensor_that_falls_silent_is_waited_for_as_long_as_declared() {
+    let site = Site::with(&two_storeys("[ingest]\nlateness-s = 0.5\n"));
+    let record = site.simulate(4.0);
+    let _services = site.run();
+    let (bus, keys) = (site.join().await, site.keys());
+    site.wait_for_services(&bus).await;
+    let mut reader = EstimateReader::join(&bus, &keys).await;
+    let mut sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
+    sensors.put(0..200).await;
+    sensors.put_all_but(&["floor-1"], 200..400).await; // its token is still there
+    let mut equivalent = record.clone();
+    let expected = site.estimate(equivalent.remove("floor-1", 200..400).save_as("equivalent.csv"));
+    assert_same_bits("silent sensor", &expected.parameters, &expected.frames, reader.read_frames(400).await);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_sensor_whose_clock_jumps_is_missing_while_it_is_wrong() {
+    let shifted = |seconds: i64| move |block: &mut SampleBlock| block.header.time_ns += seconds * 1_000_000_000;
+    let mut faulty = Faulty::start().await;
+    for (rows, seconds) in [(400..420, 5), (420..440, -2), (440..460, -100_000), (460..480, 100_000)] {
+        faulty.sensors.put_changed("floor-1", rows.clone(), shifted(seconds)).await;
+        faulty.sensors.put_all_but(&["floor-1"], rows).await;
+    }
+    // Once its clock is right, what it had sent of the future is taken back: from then on it is waited for again.
+    faulty.sensors.put_changed("floor-1", 480..ROWS, |_| {}).await;
+    faulty.drops.expect(Service::Ingest, "retracted-samples", 40).await;
+    faulty.sensors.put_all_but(&["floor-1"], 480..ROWS).await;
+    faulty.drops.expect(Service::Ingest, "late-samples", 40).await;
+    faulty.equivalent.remove("floor-1", 400..480);
+    faulty.assert_sound("clock that jumps").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_time_at_the_ends_of_the_scale_is_no_frame() {
+    let mut faulty = Faulty::start().await;
+    for (rows, time_ns) in [(400..410, i64::MAX), (410..420, i64::MIN), (420..430, i64::MAX - 50_000_000)] {
+        faulty.sensors.put_changed("floor-1", rows.clone(), |block| block.header.time_ns = time_ns).await;
+        faulty.sensors.put_all_but(&["floor-1"], rows).await;
+    }
+    faulty.sensors.put_changed("floor-1", 430..ROWS, |_| {}).await;
+    faulty.drops.expect(Service::Ingest, "retracted-samples", 20).await;
+    faulty.sensors.put_all_but(&["floor-1"], 430..ROWS).await;
+    faulty.equivalent.remove("floor-1", 400..430);
+    faulty.assert_sound("times at the ends of the scale").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_acknowledgement_of_nothing_is_counted() {
+    let faulty = Faulty::start().await;
+    let name = |text: &str| Name::new(text).unwrap();
+    let of = |parameter: &str| Acknowledgement {
+        structure: faulty.keys.structure().clone(),
+        parameter: name(parameter),
+        time_ns: 0,
+        who: "anna".to_owned(),
+        note: String::new(),
+    };
+    let (known, unknown) = (faulty.keys.acknowledge(&name("storey-1")), faulty.keys.acknowledge(&name("storey-9")));
+    for (key, payload, reason) in [
+        (&unknown, of("storey-9").encode().unwrap(), "acknowledgement-on-another-key"),
+        (&known, of("storey-2").encode().unwrap(), "acknowledgement-on-another-key"),
+        (&known, of("storey-1").encode().unwrap(), "acknowledgement-without-alert"),
+        (&known, b"{\"who\": ".to_vec(), "acknowledgement-undecodable"),
+        (&known, b"{\"who\": 7}".to_vec(), "acknowledgement-undecodable"),
+    ] {
+        put_raw(&faulty.bus, key, "application/json", payload).await;
+        faulty.drops.expect(Service::Alert, reason, 1).await;
+    }
+    faulty.assert_goes_on("acknowledgement of nothing").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_query_for_frames_that_is_no_range_is_refused_by_name() {
+    let faulty = Faulty::start().await;
+    let selector = format!("{}?after=-1;limit=many", faulty.keys.recording());
+    let replies = faulty.bus.session().get(&selector).await.unwrap();
+    let reply = support::within("answer to a query", replies.recv_async()).await.unwrap();
+    let refusal = reply.result().unwrap_err().payload().try_to_string().unwrap().into_owned();
+    assert!(refusal.contains("after") && refusal.contains("-1"), "expected after and -1, found {refusal}");
+    faulty.assert_goes_on("query that is no range").await;
+}

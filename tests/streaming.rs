@@ -1,0 +1,166 @@
+//! The streaming path gives the numbers of `spandrel estimate`, to the bit: real processes, real Zenoh over TCP.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+mod support;
+
+use serde_json::Value;
+use spandrel_bus::Service;
+use support::{Drops, EstimateReader, Process, Record, Site, assert_same_bits, five_storeys, spandrel, two_storeys};
+
+/// Replays a record to services that already run, and compares the estimates on the bus with those of the file.
+async fn assert_replay_gives_the_numbers_of_estimate(route: &str, site: &Site, record: &Record, speed: &str) {
+    assert_runs_give_the_numbers_of_estimate(route, site, record, speed, 1).await;
+}
+
+/// As above for a record with holes that begin new runs of frames.
+async fn assert_runs_give_the_numbers_of_estimate(route: &str, site: &Site, record: &Record, speed: &str, runs: usize) {
+    let expected = site.estimate(record);
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let drops = Drops::watch(&bus, &site.keys()).await;
+    let mut reader = EstimateReader::join(&bus, &site.keys()).await;
+    let replay = site.replay(record, speed);
+    let found = reader.read_to_end(runs).await;
+    assert_same_bits(route, &expected.parameters, &expected.frames, found);
+    replay.wait().expect_code(0);
+    for service in [Service::Ingest, Service::Identify, Service::Alert] {
+        let lost = drops.when_done(service, 1).await.drops.get("lost-items").copied();
+        assert_eq!(lost, None, "{route}: frames lost on the way to {}", service.as_str());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_replay_at_full_speed_gives_the_numbers_of_estimate() {
+    let site = Site::of(&five_storeys());
+    let record = site.simulate(30.0);
+    let _services = site.run();
+    assert_replay_gives_the_numbers_of_estimate("run, replay --speed max", &site, &record, "max").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_replay_at_ten_times_real_time_gives_the_numbers_of_estimate() {
+    let site = Site::of(&five_storeys());
+    let record = site.simulate(20.0);
+    let _services = site.run();
+    assert_replay_gives_the_numbers_of_estimate("run, replay --speed 10", &site, &record, "10").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn services_in_three_processes_give_the_numbers_of_estimate() {
+    let site = Site::of(&five_storeys());
+    let record = site.simulate(30.0);
+    let ingest = Process::start(&mut site.listening("ingest"));
+    ingest.wait_for_log("ready structures=1");
+    let _identify = Process::start(&mut site.connecting("identify"));
+    let _alert = Process::start(&mut site.connecting("alert"));
+    assert_replay_gives_the_numbers_of_estimate("ingest, identify, alert apart", &site, &record, "max").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_number_of_threads_changes_no_bit() {
+    for threads in ["1", "2"] {
+        let site = Site::of(&five_storeys());
+        let record = site.simulate(30.0);
+        let services = Process::start(site.listening("run").env("SPANDREL_THREADS", threads));
+        services.wait_for_log("ready structures=1");
+        let route = format!("run with SPANDREL_THREADS={threads}");
+        assert_replay_gives_the_numbers_of_estimate(&route, &site, &record, "max").await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_record_with_gaps_and_missing_fields_gives_the_numbers_of_estimate() {
+    let site = Site::of(&five_storeys());
+    let mut record = site.simulate(30.0);
+    record
+        .remove("floor-2", 0..3)
+        .remove("floor-3", 700..900)
+        .remove("ground", 1000..1001)
+        .remove("floor-5", 2999..3000);
+    for channel in ["ground", "floor-1", "floor-2", "floor-3", "floor-4", "floor-5"] {
+        record.remove(channel, 1200..1250);
+    }
+    record.cut(2000..2300).cut(500..501).save_as("gaps.csv");
+    let _services = site.run();
+    assert_replay_gives_the_numbers_of_estimate("record with gaps", &site, &record, "max").await;
+}
+
+// A source used to wait for the frame after the hole before it put the one before: longer than its window, for ever.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hole_longer_than_the_window_gives_the_numbers_of_estimate() {
+    let site = Site::of(&five_storeys());
+    let mut record = site.simulate(20.0);
+    record.delay_from(1000, 100.0).save_as("hole.csv");
+    let _services = site.run();
+    assert_replay_gives_the_numbers_of_estimate("record with a hole of 100 s", &site, &record, "max").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hole_of_half_an_hour_begins_a_new_run_on_both_routes() {
+    let site = Site::of(&five_storeys());
+    let mut record = site.simulate(20.0);
+    record.delay_from(1000, 1800.0).save_as("hole.csv");
+    let _services = site.run();
+    assert_runs_give_the_numbers_of_estimate("record with a hole of 1800 s", &site, &record, "max", 2).await;
+}
+
+// Blocks used to have as many samples of each node: those of a slow one spanned more than the window.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_far_slower_than_the_frames_gives_the_numbers_of_estimate() {
+    let slow = "[[node]]\nname = \"tilt\"\nsampling-rate-hz = 1\n[[node.channel]]\nname = \"tilt\"\n\
+                quantity = \"displacement\"\ndof = \"floor-2\"\nunit = \"m\"\nnoise-std = 1e-4\n";
+    let site = Site::with(&two_storeys(slow));
+    let record = site.simulate(120.0);
+    let _services = site.run();
+    assert_replay_gives_the_numbers_of_estimate("node of 1 Hz among nodes of 100 Hz", &site, &record, "max").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nodes_of_several_channels_at_200_hz_give_the_numbers_of_estimate() {
+    let site = Site::of(&five_storeys().with_file_name("matrices.toml"));
+    let record = site.simulate(15.0);
+    let _services = site.run();
+    assert_replay_gives_the_numbers_of_estimate("matrices.toml", &site, &record, "max").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_record_replayed_twice_gives_as_many_frames_twice() {
+    let site = Site::of(&five_storeys());
+    let record = site.simulate(20.0);
+    let _services = site.run();
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let mut reader = EstimateReader::join(&bus, &site.keys()).await;
+    for runs in 1..=2 {
+        let replay = site.replay(&record, "max");
+        let found = reader.read_to_end(runs).await.len();
+        assert_eq!(found, runs * record.len(), "frames after replay {runs}");
+        replay.wait().expect_code(0);
+    }
+}
+
+#[test]
+fn demo_and_estimate_agree_on_the_same_simulation() {
+    let site = Site::of(&five_storeys());
+    let record = site.simulate(120.0);
+    let mut expected = site.estimate(&record).summary;
+    let mut demo = spandrel("demo");
+    demo.args(["--speed", "max", "--duration", "120", "--seed", "1", "--headless", "--json"]);
+    let finished = Process::start(demo.args(["--listen", "tcp/127.0.0.1:0"])).wait().expect_code(0);
+    let mut found: Value = serde_json::from_str(finished.stdout.lines().last().unwrap()).unwrap();
+    assert!(found["alerts"].as_array().is_some_and(|alerts| !alerts.is_empty()), "the demo raises an alert: {found}");
+    for summary in [&mut expected, &mut found] {
+        forget_when(summary);
+    }
+    assert_eq!(found, expected, "demo --json\n  expected {expected}\n  found    {found}");
+}
+
+/// The demo is of today, the record starts at 0: the sentences name the time accordingly.
+fn forget_when(summary: &mut Value) {
+    for alert in summary["alerts"].as_array_mut().unwrap() {
+        let why = alert["why"].as_str().unwrap();
+        let sentence = why.split_once(", since ").unwrap_or((why, "")).0.to_owned();
+        alert["why"] = sentence.into();
+    }
+}

@@ -1,0 +1,50 @@
+//! Structure files as text.
+
+use std::path::{Path, PathBuf};
+
+/// The structure file of the demo.
+pub fn five_storeys() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml")
+}
+
+/// A building of two storeys, 100 Hz, with nodes `ground` (1 channel), `floor-1` (1) and `roof` (2), followed by `more`.
+///
+/// Live nodes may be late without limit for all practical purposes, so that a slow machine changes no number.
+pub fn two_storeys(more: &str) -> String {
+    let lateness = if more.contains("[ingest]") { "" } else { "[ingest]\nlateness-s = 3600\n" };
+    let roof_velocity = "[[node.channel]]\nname = \"roof-velocity\"\nquantity = \"velocity\"\ndof = \"floor-2\"\n\
+                         unit = \"m/s\"\nnoise-std = 0.001\n";
+    let roof = accelerometer("roof", "floor-2") + roof_velocity;
+    shaken_storeys(2) + &accelerometer("floor-1", "floor-1") + &roof + lateness + more
+}
+
+/// A building of so many storeys, 100 Hz, with an accelerometer per floor, followed by `more`.
+pub fn storeys(count: u32, more: &str) -> String {
+    let floors = (1..=count).map(|number| format!("floor-{number}")).map(|floor| accelerometer(&floor, &floor));
+    shaken_storeys(count) + &floors.collect::<String>() + more
+}
+
+/// Equal storeys of uncertain stiffness, and the node `ground`.
+fn shaken_storeys(count: u32) -> String {
+    let parameters = (1..=count).map(|number| {
+        format!("[[parameter]]\nname = \"storey-{number}\"\nscales = \"stiffness\"\nof = [\"storey-{number}\"]\n")
+    });
+    let model = format!(
+        "[structure]\nname = \"house\"\nsampling-rate-hz = 100\n\
+         [model]\nkind = \"shear-building\"\nstoreys = {count}\nmass-kg = 20_000\nfirst-frequency-hz = 2.0\n\
+         [damping]\nkind = \"rayleigh\"\nratio = 0.02\n"
+    );
+    let ground = "[[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.1\nmeasured-on = \"ground\"\n\
+                  [[node]]\nname = \"ground\"\n[[node.channel]]\nname = \"ground\"\n\
+                  quantity = \"ground-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.005\n";
+    model + &parameters.collect::<String>() + ground
+}
+
+/// A node with an accelerometer of the same name.
+fn accelerometer(name: &str, dof: &str) -> String {
+    format!(
+        "[[node]]\nname = \"{name}\"\n[[node.channel]]\nname = \"{name}\"\n\
+         quantity = \"absolute-acceleration\"\ndof = \"{dof}\"\nunit = \"m/s2\"\nnoise-std = 0.005\n\
+         noise-group = \"floors\"\nadapt-noise = true\n"
+    )
+}

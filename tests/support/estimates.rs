@@ -1,0 +1,149 @@
+//! Estimates of the two routes: the file of `spandrel estimate`, and the stream on the bus.
+
+use super::within;
+use spandrel_bus::{Block, Bus, Delivery, EstimateBlock, Keys, Start, Stream, StreamSettings, StreamState};
+use std::path::Path;
+
+/// Mean and standard deviation of each parameter at one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Identified {
+    pub time_ns: i64,
+    pub mean_and_std: Vec<(f64, f64)>,
+}
+
+impl Identified {
+    /// A line of text with all bits, from one process to another.
+    pub fn to_line(&self) -> String {
+        let bits = self.mean_and_std.iter().map(|(mean, std)| format!(" {:x} {:x}", mean.to_bits(), std.to_bits()));
+        format!("{}{}\n", self.time_ns, bits.collect::<String>())
+    }
+
+    /// The inverse of [`Identified::to_line`].
+    pub fn from_line(line: &str) -> Self {
+        let (time_ns, bits) = line.split_once(' ').unwrap();
+        let values: Vec<f64> =
+            bits.split(' ').map(|hex| f64::from_bits(u64::from_str_radix(hex, 16).unwrap())).collect();
+        let pairs = values.chunks_exact(2).map(|pair| (pair[0], pair[1]));
+        Self { time_ns: time_ns.parse().unwrap(), mean_and_std: pairs.collect() }
+    }
+}
+
+/// What `spandrel estimate --output --json` says of a record.
+pub struct Estimated {
+    pub parameters: Vec<String>,
+    pub frames: Vec<Identified>,
+    pub summary: serde_json::Value,
+}
+
+impl Estimated {
+    pub fn read(path: &Path, summary: serde_json::Value) -> Self {
+        let table = super::Record::read(path);
+        let named = |column: &String| column.strip_suffix(".mean").map(str::to_owned);
+        let parameters: Vec<String> = table.channels().iter().filter_map(named).collect();
+        let of_parameter = |row: usize, name: &String| {
+            (table.value(row, &format!("{name}.mean")), table.value(row, &format!("{name}.std")))
+        };
+        let frame = |row: usize| Identified {
+            time_ns: table.time_ns(row),
+            mean_and_std: parameters.iter().map(|name| of_parameter(row, name)).collect(),
+        };
+        Self { frames: (0..table.len()).map(frame).collect(), parameters, summary }
+    }
+}
+
+/// Reads the estimates of a structure from the bus; a gap fails the test.
+pub struct EstimateReader {
+    stream: Stream<EstimateBlock>,
+    frames: Vec<Identified>,
+    ends: usize,
+    read_by: String,
+}
+
+impl EstimateReader {
+    pub async fn join(bus: &Bus, keys: &Keys) -> Self {
+        Self::with_settings(bus, keys, StreamSettings::new(Start::Beginning)).await
+    }
+
+    pub async fn with_settings(bus: &Bus, keys: &Keys, settings: StreamSettings) -> Self {
+        let stream = bus.follow(keys.estimates(), keys.estimates_buffer(), settings).await.unwrap();
+        Self { stream, frames: Vec::new(), ends: 0, read_by: keys.estimates() }
+    }
+
+    /// Reads until `count` frames have come since the start.
+    pub async fn read_frames(&mut self, count: usize) -> &[Identified] {
+        while self.frames.len() < count {
+            self.read_block(&format!("{count} frames")).await;
+        }
+        &self.frames
+    }
+
+    /// Reads until the stream has ended; a hole that begins a new run of frames ends the one before.
+    pub async fn read_to_end(&mut self, runs: usize) -> &[Identified] {
+        while self.ends < runs {
+            self.read_block("the end").await;
+        }
+        &self.frames
+    }
+
+    /// Frames that did not come as they were put, and were asked for again.
+    pub fn fetched(&self) -> u64 {
+        self.stream.counts().follow.fetched_items
+    }
+
+    async fn read_block(&mut self, until: &str) {
+        let what = format!("{} of {until}, {} frames so far", self.read_by, self.frames.len());
+        match within(&what, self.stream.deliveries().recv_async()).await.unwrap() {
+            Delivery::Gap(gap) => panic!("{}: frames lost: {gap:?}", self.read_by),
+            Delivery::Block(block) => {
+                self.ends += usize::from(block.state() == StreamState::Ended);
+                self.frames.extend(identified(&block));
+            }
+        }
+    }
+}
+
+/// The estimates of a block, with the standard deviations that `spandrel estimate` writes.
+pub fn identified(block: &EstimateBlock) -> Vec<Identified> {
+    let grid = block.grid().unwrap();
+    let frames = block.iter().map(|(number, estimate)| {
+        let std = |index| estimate.variance(index).unwrap().max(0.0).sqrt();
+        let pairs = estimate.mean.iter().enumerate().map(|(index, mean)| (*mean, std(index)));
+        Identified { time_ns: grid.time_ns(number), mean_and_std: pairs.collect() }
+    });
+    frames.collect()
+}
+
+/// Compares frame by frame, time, mean and standard deviation, to the bit.
+#[track_caller]
+pub fn assert_same_bits(route: &str, parameters: &[String], expected: &[Identified], found: &[Identified]) {
+    let count = (expected.len(), found.len());
+    assert!(count.0 == count.1, "{route}\n  expected {} frames (spandrel estimate)\n  found    {}", count.0, count.1);
+    let bits = |frame: &Identified| -> Vec<(u64, u64)> {
+        frame.mean_and_std.iter().map(|(mean, std)| (mean.to_bits(), std.to_bits())).collect()
+    };
+    let differs = |(a, b): &(&Identified, &Identified)| a.time_ns != b.time_ns || bits(a) != bits(b);
+    let different = expected.iter().zip(found).filter(differs).count();
+    let Some((number, (a, b))) = expected.iter().zip(found).enumerate().find(|(_, pair)| differs(pair)) else {
+        return;
+    };
+    let pairs = a.mean_and_std.iter().zip(&b.mean_and_std);
+    let index = pairs.into_iter().position(|(a, b)| (a.0.to_bits(), a.1.to_bits()) != (b.0.to_bits(), b.1.to_bits()));
+    let of = |frame: &Identified| {
+        let time_s = frame.time_ns as f64 * 1e-9;
+        match index {
+            Some(index) => {
+                let (mean, std) = frame.mean_and_std[index];
+                format!("{mean:?} ± {std:?} at t = {time_s:.3} s")
+            }
+            None => format!("frame at t = {time_s:.9} s"),
+        }
+    };
+    let parameter = index.map_or("time", |index| parameters[index].as_str());
+    panic!(
+        "{route}: first difference in frame {number}, {parameter}\n  expected {} (spandrel estimate)\n  found    {}\n  \
+         {different} of {} frames differ",
+        of(a),
+        of(b),
+        expected.len()
+    );
+}

@@ -1,0 +1,34 @@
+//! What the end-to-end tests share: processes that end with their test, a site with a root and folder of its own, records,
+//! and estimates that are compared to the bit.
+
+#![allow(dead_code, unused_imports, reason = "each test file uses its part of it")]
+
+mod building;
+mod drops;
+mod estimates;
+mod process;
+mod record;
+mod sensors;
+mod site;
+
+pub use building::{five_storeys, storeys, two_storeys};
+pub use drops::Drops;
+pub use estimates::{EstimateReader, Estimated, Identified, assert_same_bits, identified};
+pub use process::{Finished, Process, spandrel};
+pub use record::Record;
+pub use sensors::{Node, Sensors, put_raw};
+pub use site::{Site, free_endpoint};
+
+use std::future::Future;
+use std::time::Duration;
+
+/// Only ends a hang: no test is decided by it.
+pub const DEADLINE: Duration = Duration::from_secs(60);
+
+/// Waits for what must come.
+pub async fn within<T>(what: &str, event: impl Future<Output = T>) -> T {
+    match tokio::time::timeout(DEADLINE, event).await {
+        Ok(value) => value,
+        Err(_elapsed) => panic!("waited {} s in vain: {what}", DEADLINE.as_secs()),
+    }
+}

@@ -1,0 +1,184 @@
+//! The built binary as a child process.
+
+use super::DEADLINE;
+use std::io::{Read, Write};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Condvar, Mutex};
+
+/// The built binary with an environment that says nothing to it.
+pub fn spandrel(subcommand: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
+    let ours = |name: &str| name.starts_with("SPANDREL_") || name == "RUST_LOG";
+    for (name, _) in std::env::vars().filter(|(name, _)| ours(name)) {
+        command.env_remove(name);
+    }
+    command.arg(subcommand);
+    command
+}
+
+/// A running process; it is killed when this is dropped.
+pub struct Process {
+    name: String,
+    child: Child,
+    stdout: Capture,
+    stderr: Capture,
+}
+
+/// How a process ended, and what it said.
+#[derive(Debug)]
+pub struct Finished {
+    pub command: String,
+    /// `None`: by a signal.
+    pub code: Option<i32>,
+    pub stdout: String,
+    pub stderr: String,
+}
+
+impl Process {
+    pub fn start(command: &mut Command) -> Self {
+        Self::spawn(command.stdin(Stdio::null()))
+    }
+
+    /// Starts a process that waits for input.
+    pub fn start_with_input(command: &mut Command) -> Self {
+        Self::spawn(command.stdin(Stdio::piped()))
+    }
+
+    fn spawn(command: &mut Command) -> Self {
+        let name = command.get_args().map(|arg| arg.to_string_lossy()).collect::<Vec<_>>().join(" ");
+        let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+        let mut child = child.unwrap_or_else(|error| panic!("cannot start spandrel {name}: {error}"));
+        let (stdout, stderr) = (Capture::of(child.stdout.take()), Capture::of(child.stderr.take()));
+        Self { name, child, stdout, stderr }
+    }
+
+    /// Waits until standard error has `text`.
+    pub fn wait_for_log(&self, text: &str) {
+        let said = self.stderr.wait_until(|said| said.contains(text));
+        assert!(said.contains(text), "spandrel {}\n  expected in its log: {text}\n  found:\n{said}", self.name);
+    }
+
+    /// Gives it the line that it waits for.
+    pub fn write_line(&mut self) {
+        self.child.stdin.as_mut().unwrap().write_all(b"\n").unwrap();
+    }
+
+    /// What it has said on standard error so far.
+    pub fn log(&self) -> String {
+        self.stderr.so_far()
+    }
+
+    /// Asks it to stop, as `systemctl stop` does.
+    pub fn terminate(&self) {
+        let killed = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status();
+        assert!(killed.is_ok_and(|status| status.success()), "cannot signal spandrel {}", self.name);
+    }
+
+    /// Ends it without a word, as a power cut does.
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
+    /// Waits until it ends by itself.
+    pub fn wait(mut self) -> Finished {
+        let stderr = self.stderr.wait_for_end();
+        let stdout = self.stdout.wait_for_end();
+        let (Some(stdout), Some(stderr)) = (stdout, stderr) else {
+            panic!("spandrel {} has not ended after {} s", self.name, DEADLINE.as_secs());
+        };
+        let code = self.child.wait().unwrap().code();
+        Finished { command: self.name.clone(), code, stdout, stderr }
+    }
+
+    /// Asks it to stop, and waits until it has.
+    pub fn stop(self) -> Finished {
+        self.terminate();
+        self.wait()
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill(); // it may have ended
+        let _ = self.child.wait();
+        if std::thread::panicking() {
+            eprintln!("--- spandrel {} said:\n{}---", self.name, self.stderr.so_far());
+        }
+    }
+}
+
+impl Finished {
+    /// Checks the exit code; the message shows what was said.
+    #[track_caller]
+    pub fn expect_code(self, expected: i32) -> Self {
+        let Self { command, code, stdout, stderr } = &self;
+        let told = format!("spandrel {command}\n  expected exit code {expected}, found {code:?}");
+        assert!(*code == Some(expected), "{told}\n  standard output:\n{stdout}\n  standard error:\n{stderr}");
+        self
+    }
+
+    /// Checks that standard error has all of `parts`.
+    #[track_caller]
+    pub fn expect_told(self, parts: &[&str]) -> Self {
+        let Self { command, stderr, .. } = &self;
+        for part in parts {
+            assert!(
+                stderr.contains(part),
+                "spandrel {command}\n  expected on standard error: {part}\n  found:\n{stderr}"
+            );
+        }
+        assert!(!stderr.contains("panicked"), "spandrel {command} panicked:\n{stderr}");
+        self
+    }
+}
+
+/// What a pipe of a child has said, read by a thread of its own.
+struct Capture {
+    said: Arc<(Mutex<Said>, Condvar)>,
+}
+
+#[derive(Default)]
+struct Said {
+    text: String,
+    has_ended: bool,
+}
+
+impl Capture {
+    fn of(pipe: Option<impl Read + Send + 'static>) -> Self {
+        let said = Arc::new((Mutex::new(Said::default()), Condvar::new()));
+        let (shared, mut pipe) = (said.clone(), pipe.unwrap());
+        std::thread::spawn(move || {
+            let mut buffer = [0; 8192];
+            loop {
+                let count = pipe.read(&mut buffer).unwrap_or(0);
+                let mut said = shared.0.lock().unwrap();
+                said.text.push_str(&String::from_utf8_lossy(&buffer[..count]));
+                said.has_ended = count == 0;
+                shared.1.notify_all();
+                if count == 0 {
+                    return;
+                }
+            }
+        });
+        Self { said }
+    }
+
+    fn so_far(&self) -> String {
+        self.said.0.lock().unwrap().text.clone()
+    }
+
+    /// Returns what was said when `reached` held, or at the end, or when the deadline was over.
+    fn wait_until(&self, reached: impl Fn(&str) -> bool) -> String {
+        let (said, changed) = &*self.said;
+        let waits = |said: &mut Said| !said.has_ended && !reached(&said.text);
+        changed.wait_timeout_while(said.lock().unwrap(), DEADLINE, waits).unwrap().0.text.clone()
+    }
+
+    /// Returns all that was said; `None` if the deadline was over first.
+    fn wait_for_end(&self) -> Option<String> {
+        let (said, changed) = &*self.said;
+        let (said, _) = changed.wait_timeout_while(said.lock().unwrap(), DEADLINE, |said| !said.has_ended).unwrap();
+        said.has_ended.then(|| said.text.clone())
+    }
+}

@@ -1,0 +1,83 @@
+//! CSV records as tables of text, so that what a test changes is what the program reads.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// A record: the time in its first column, then a column per channel.
+#[derive(Clone)]
+pub struct Record {
+    path: PathBuf,
+    header: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
+impl Record {
+    pub fn read(path: &Path) -> Self {
+        let text = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let mut lines = text.lines().map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
+        let header = lines.next().unwrap();
+        Self { path: path.to_owned(), header, rows: lines.collect() }
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Names of the columns without the time.
+    pub fn channels(&self) -> &[String] {
+        &self.header[1..]
+    }
+
+    /// Time of a row, ns.
+    pub fn time_ns(&self, row: usize) -> i64 {
+        (self.rows[row][0].parse::<f64>().unwrap() * 1e9).round() as i64
+    }
+
+    /// Value of a channel by its name; NaN where the field is empty.
+    pub fn value(&self, row: usize, channel: &str) -> f64 {
+        let text = &self.rows[row][self.column(channel)];
+        if text.is_empty() { f64::NAN } else { text.parse().unwrap() }
+    }
+
+    /// Empties the fields of a channel.
+    pub fn remove(&mut self, channel: &str, rows: Range<usize>) -> &mut Self {
+        let column = self.column(channel);
+        for row in &mut self.rows[rows] {
+            row[column].clear();
+        }
+        self
+    }
+
+    /// Takes whole rows out.
+    pub fn cut(&mut self, rows: Range<usize>) -> &mut Self {
+        self.rows.drain(rows);
+        self
+    }
+
+    /// Moves the rows from `first` on by some seconds.
+    pub fn delay_from(&mut self, first: usize, seconds: f64) -> &mut Self {
+        for row in first..self.rows.len() {
+            let time_s = self.time_ns(row) as f64 * 1e-9 + seconds;
+            self.rows[row][0] = format!("{time_s:.6}");
+        }
+        self
+    }
+
+    /// Writes the table beside the file it came from.
+    pub fn save_as(&mut self, name: &str) -> &Self {
+        self.path = self.path.with_file_name(name);
+        let lines = std::iter::once(&self.header).chain(&self.rows).map(|fields| fields.join(",") + "\n");
+        std::fs::write(&self.path, lines.collect::<String>()).unwrap();
+        self
+    }
+
+    fn column(&self, channel: &str) -> usize {
+        let found = self.header.iter().position(|name| name == channel);
+        found.unwrap_or_else(|| panic!("no column {channel} in {:?}", self.header))
+    }
+}

@@ -1,0 +1,132 @@
+//! A place where one test runs: folder, root, endpoint, structure.
+
+use super::{Estimated, Process, Record, spandrel, within};
+use spandrel_bus::{Bus, BusConfig, Keys, Service};
+use spandrel_structure::Structure;
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::{AtomicU32, Ordering};
+use tempfile::TempDir;
+
+/// Sites of this process so far: each has a root of its own.
+static SITES: AtomicU32 = AtomicU32::new(0);
+
+/// What one test has to itself.
+pub struct Site {
+    folder: TempDir,
+    root: String,
+    endpoint: String,
+    structure_file: PathBuf,
+    structure: Structure,
+}
+
+impl Site {
+    /// A site with a structure file of the documentation.
+    pub fn of(structure_file: &Path) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let number = SITES.fetch_add(1, Ordering::Relaxed);
+        let root = format!("test-{}-{number}", std::process::id());
+        let structure = Structure::read(structure_file).unwrap_or_else(|error| panic!("{error}"));
+        Self { folder, root, endpoint: free_endpoint(), structure_file: structure_file.to_owned(), structure }
+    }
+
+    /// A site with a structure file of this text.
+    pub fn with(structure: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let structure_file = folder.path().join("structure.toml");
+        std::fs::write(&structure_file, structure).unwrap();
+        Self { folder, ..Self::of(&structure_file) }
+    }
+
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    pub fn structure_file(&self) -> &Path {
+        &self.structure_file
+    }
+
+    pub fn structure(&self) -> &Structure {
+        &self.structure
+    }
+
+    pub fn endpoint(&self) -> &str {
+        &self.endpoint
+    }
+
+    pub fn keys(&self) -> Keys {
+        Keys::parse(&self.root, self.structure.name()).unwrap()
+    }
+
+    /// Simulates this structure to a record.
+    pub fn simulate(&self, seconds: f64) -> Record {
+        let path = self.folder().join("record.csv");
+        let mut command = spandrel("simulate");
+        command.arg(&self.structure_file).arg("--record").arg(&path);
+        Process::start(command.args(["--duration", &seconds.to_string()])).wait().expect_code(0);
+        Record::read(&path)
+    }
+
+    /// Identifies a record offline.
+    pub fn estimate(&self, record: &Record) -> Estimated {
+        let output = record.path().with_extension("estimates.csv");
+        let mut command = spandrel("estimate");
+        command.arg(&self.structure_file).arg("--record").arg(record.path()).arg("--output").arg(&output);
+        let finished = Process::start(command.arg("--json")).wait().expect_code(0);
+        Estimated::read(&output, serde_json::from_str(&finished.stdout).unwrap())
+    }
+
+    /// A service command of this site that others can connect to.
+    pub fn listening(&self, subcommand: &str) -> Command {
+        let mut command = spandrel(subcommand);
+        command.arg(&self.structure_file).args(["-v", "--root", &self.root, "--listen", &self.endpoint]);
+        command
+    }
+
+    /// A service command of this site that connects to the one that listens.
+    pub fn connecting(&self, subcommand: &str) -> Command {
+        let mut command = spandrel(subcommand);
+        command.arg(&self.structure_file).args(["-v", "--root", &self.root, "--connect", &self.endpoint]);
+        command
+    }
+
+    /// Starts all services in one process, and waits until it can be connected to.
+    pub fn run(&self) -> Process {
+        let process = Process::start(&mut self.listening("run"));
+        process.wait_for_log("ready structures=1");
+        process
+    }
+
+    /// Starts a replay in a process of its own.
+    pub fn replay(&self, record: &Record, speed: &str) -> Process {
+        let mut command = spandrel("replay");
+        command.arg(record.path()).arg("--structure").arg(&self.structure_file).args(["--speed", speed, "-v"]);
+        Process::start(command.args(["--root", &self.root, "--connect", &self.endpoint]))
+    }
+
+    /// A session of the test itself, connected to the process that listens.
+    pub async fn join(&self) -> Bus {
+        let config = BusConfig {
+            root: self.root.clone(),
+            connect: vec![self.endpoint.clone()],
+            connect_timeout_s: Some(super::DEADLINE.as_secs_f64()),
+            ..BusConfig::default()
+        };
+        Bus::open(&config).await.unwrap()
+    }
+
+    /// Waits for the liveliness tokens of all services.
+    pub async fn wait_for_services(&self, bus: &Bus) {
+        for service in [Service::Ingest, Service::Identify, Service::Alert] {
+            let mut tokens = bus.watch_live(self.keys().all_live(service)).await.unwrap();
+            within(&format!("token of {}", service.as_str()), tokens.some()).await;
+        }
+    }
+}
+
+/// An endpoint that nobody listens on.
+pub fn free_endpoint() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    format!("tcp/{}", listener.local_addr().unwrap())
+}
