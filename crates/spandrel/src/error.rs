@@ -111,6 +111,7 @@ impl AppError {
             | Self::SameStructure { .. }
             | Self::NothingLearnt { .. }
             | Self::Name(_)
+            | Self::Sensor(SensorError::Record(_))
             | Self::Bus(BusError::ConfigFile { .. } | BusError::Setting { .. })
             | Self::Alert(
                 AlertError::File { .. }

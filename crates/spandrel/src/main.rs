@@ -13,6 +13,7 @@ mod summary;
 mod watch;
 
 use clap::Parser;
+use std::io::Write;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
@@ -21,7 +22,8 @@ fn main() -> ExitCode {
     match commands::run(arguments.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprint!("{}", error.report());
+            // a reader of the errors that has gone away is told by the exit code alone
+            let _ = std::io::stderr().write_all(error.report().as_bytes());
             error.exit_code()
         }
     }

@@ -44,7 +44,7 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
         running.start_ingest(&bus, &watched).await?;
         let shown = !arguments.headless && std::io::stdout().is_terminal();
         let finished = tokio::select! {
-            collected = show_and_collect(&bus, &watched[0], &arguments, shown) => collected.map(Some),
+            collected = show_and_collect(&bus, &watched[0], &arguments, shown) => collected,
             failed = running.failed() => failed.map(|()| None),
             () = interrupted() => Ok(None),
         };
@@ -60,33 +60,34 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
     }
 }
 
-/// Simulates, and collects until the last estimate and its alerts have come.
+/// Simulates, and collects until the last estimate and its alerts have come; nothing when the person quits before.
 async fn show_and_collect(
     bus: &Bus,
     watched: &Watched,
     arguments: &DemoArguments,
     shown: bool,
-) -> Result<Summary, AppError> {
+) -> Result<Option<Summary>, AppError> {
     let Watched { structure, keys, .. } = watched;
     let frames = (arguments.duration * structure.sampling_rate_hz()).round() as u64;
     let simulation = simulate(bus, structure, keys, arguments.speed.into(), arguments.seed, Some(frames));
     let collected = collect(bus, watched, arguments);
-    let both = async { tokio::try_join!(collected, simulation) };
+    let both = async { tokio::try_join!(collected, simulation).map(|(summary, ())| Some(summary)) };
     if !shown {
-        return both.await.map(|(summary, ())| summary);
+        return both.await;
     }
     let (done, ended) = tokio::sync::oneshot::channel::<()>();
     let view = super::watch::show(bus, keys.root(), Some(structure.name()), async {
         let _ = ended.await; // also when the simulation failed
     });
-    let both = async {
-        let result = both.await;
-        drop(done);
-        result
-    };
-    let (result, viewed) = tokio::join!(both, view);
-    viewed?;
-    result.map(|(summary, ())| summary)
+    tokio::pin!(view);
+    tokio::select! {
+        result = both => {
+            drop(done);
+            view.await?; // gives the terminal back
+            result
+        }
+        quit = &mut view => quit.map(|()| None),
+    }
 }
 
 async fn collect(bus: &Bus, watched: &Watched, arguments: &DemoArguments) -> Result<Summary, AppError> {
