@@ -7,9 +7,13 @@
 
 mod support;
 
-use spandrel_bus::{Acknowledgement, Bus, FrameBlock, Header, Keys, Message, Name, SampleBlock, Service, StreamState};
+use spandrel_bus::{
+    Acknowledgement, Bus, EstimateBlock, FrameBlock, Header, Keys, Message, Name, SampleBlock, Service, StreamState,
+};
 use std::ops::Range;
-use support::{Drops, EstimateReader, Node, Process, Record, Sensors, Site, assert_same_bits, put_raw, two_storeys};
+use support::{
+    Drops, EstimateReader, Node, Process, Record, Sensors, Site, assert_same_bits, put_raw, two_storeys, within,
+};
 
 /// Encoding of sample blocks.
 const SAMPLES: &str = "application/postcard;spandrel.samples.v1";
@@ -76,17 +80,24 @@ impl Faulty {
         self.reader.read_frames(count).await;
     }
 
+    /// Waits until alert has decided on the whole record.
+    async fn wait_for_decisions(&self) {
+        let mut decided = self.bus.watch_progress(self.keys.progress(Service::Alert)).await.unwrap();
+        within("decision on all frames", decided.wait_for(|progress| progress.done >= ROWS as u64)).await;
+    }
+
     /// Sends the rest of the record, and compares all estimates with the numbers of the equivalent record.
     async fn assert_goes_on(mut self, fault: &str) {
         self.put(BEFORE..ROWS).await;
         self.assert_sound(fault).await;
     }
 
-    /// Compares all estimates with the numbers of the equivalent record.
+    /// Compares all estimates with the numbers of the equivalent record, and waits until they have been decided on.
     async fn assert_sound(mut self, fault: &str) {
         let expected = self.site.estimate(self.equivalent.save_as("equivalent.csv"));
         let found = self.reader.read_frames(ROWS).await;
         assert_same_bits(fault, &expected.parameters, &expected.frames, found);
+        self.wait_for_decisions().await;
         let log = self.services.log();
         assert!(!log.contains("panicked"), "{fault}: a service panicked:\n{log}");
         self.services.stop().expect_code(0);
@@ -273,6 +284,26 @@ async fn frames_of_another_structure_are_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn estimates_of_another_structure_are_refused() {
+    let mut faulty = Faulty::start().await;
+    let block = EstimateBlock {
+        header: Header { source: "identify".to_owned(), epoch: u64::MAX - 1, sequence: 0, time_ns: 0 },
+        t0_ns: 0,
+        sampling_rate_hz: 100.0,
+        parameters: 7,
+        noise_parameters: 0,
+        channels: 0,
+        estimates: Vec::new(),
+        state: StreamState::Running,
+    };
+    put_raw(&faulty.bus, &faulty.keys.estimates(), &EstimateBlock::encoding(), block.encode().unwrap()).await;
+    faulty.drops.expect(Service::Alert, "estimates-of-another-structure", 1).await;
+    // The reader of this test believes every epoch: what counts is that alert does not.
+    faulty.put(BEFORE..ROWS).await;
+    faulty.wait_for_decisions().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_sensor_that_dies_is_missing_until_it_comes_back() {
     let mut faulty = Faulty::start().await;
     let node = faulty.sensors.remove("floor-1");
@@ -364,12 +395,26 @@ async fn an_acknowledgement_of_nothing_is_counted() {
     faulty.assert_goes_on("acknowledgement of nothing").await;
 }
 
+// By default a log line that cannot be written is a panic.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_log_that_nobody_reads_stops_no_service() {
+    let site = Site::with(&two_storeys(""));
+    let record = site.simulate(8.0);
+    let services = Process::start_with_closed_log(&mut site.listening("run"));
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let mut reader = EstimateReader::join(&bus, &site.keys()).await;
+    site.replay(&record, "max").wait().expect_code(0);
+    assert_eq!(reader.read_to_end(1).await.len(), record.len(), "frames identified");
+    services.stop().expect_code(0);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_query_for_frames_that_is_no_range_is_refused_by_name() {
     let faulty = Faulty::start().await;
     let selector = format!("{}?after=-1;limit=many", faulty.keys.recording());
     let replies = faulty.bus.session().get(&selector).await.unwrap();
-    let reply = support::within("answer to a query", replies.recv_async()).await.unwrap();
+    let reply = within("answer to a query", replies.recv_async()).await.unwrap();
     let refusal = reply.result().unwrap_err().payload().try_to_string().unwrap().into_owned();
     assert!(refusal.contains("after") && refusal.contains("-1"), "expected after and -1, found {refusal}");
     faulty.assert_goes_on("query that is no range").await;

@@ -6,7 +6,9 @@ mod support;
 
 use serde_json::Value;
 use spandrel_bus::Service;
-use support::{Drops, EstimateReader, Process, Record, Site, assert_same_bits, five_storeys, spandrel, two_storeys};
+use support::{
+    Drops, EstimateReader, Identified, Process, Record, Site, assert_same_bits, five_storeys, spandrel, two_storeys,
+};
 
 /// Replays a record to services that already run, and compares the estimates on the bus with those of the file.
 async fn assert_replay_gives_the_numbers_of_estimate(route: &str, site: &Site, record: &Record, speed: &str) {
@@ -138,6 +140,56 @@ async fn a_record_replayed_twice_gives_as_many_frames_twice() {
         assert_eq!(found, runs * record.len(), "frames after replay {runs}");
         replay.wait().expect_code(0);
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_structures_in_one_process_do_not_mix() {
+    let (five, two) = (Site::of(&five_storeys()), Site::with(&two_storeys("")));
+    let two = two.at(&five);
+    let records = [five.simulate(30.0), two.simulate(40.0)];
+    let services = Process::start(five.listening("run").arg(two.structure_file()));
+    services.wait_for_log("ready structures=2");
+    tokio::join!(
+        assert_replay_gives_the_numbers_of_estimate("one of two structures", &five, &records[0], "max"),
+        assert_replay_gives_the_numbers_of_estimate("the other of two structures", &two, &records[1], "max"),
+    );
+}
+
+/// Means and standard deviations without their times.
+fn without_times(mut frames: Vec<Identified>) -> Vec<Identified> {
+    frames.iter_mut().for_each(|frame| frame.time_ns = 0);
+    frames
+}
+
+/// Runs services of their own, simulates to the bus for some seconds at full speed, and returns the estimates.
+async fn estimates_of_a_simulation(site: &Site, seconds: &str) -> Vec<Identified> {
+    let _services = site.run();
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let mut reader = EstimateReader::join(&bus, &site.keys()).await;
+    let simulation = Process::start(site.connecting("simulate").args(["--speed", "max", "--duration", seconds]));
+    let found = without_times(reader.read_to_end(1).await.to_vec());
+    simulation.wait().expect_code(0);
+    found
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_simulation_on_the_bus_gives_the_numbers_of_its_record() {
+    let site = Site::of(&five_storeys());
+    let expected = site.estimate(&site.simulate(30.0));
+    let found = estimates_of_a_simulation(&site, "30").await;
+    assert_same_bits("simulate --speed max", &expected.parameters, &without_times(expected.frames), &found);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_simulation_with_faulty_sensors_gives_the_same_bits_each_time() {
+    let noisy = five_storeys().with_file_name("noisy.toml");
+    let (first, second) = (Site::of(&noisy), Site::of(&noisy));
+    let names: Vec<String> =
+        first.structure().parameters().iter().map(|parameter| parameter.name().to_owned()).collect();
+    let expected = estimates_of_a_simulation(&first, "40").await;
+    let found = estimates_of_a_simulation(&second, "40").await;
+    assert_same_bits("noisy.toml, second time", &names, &expected, &found);
 }
 
 #[test]

@@ -44,9 +44,19 @@ impl Process {
         Self::spawn(command.stdin(Stdio::piped()))
     }
 
+    /// Starts a process whose standard error is a pipe that nobody reads.
+    pub fn start_with_closed_log(command: &mut Command) -> Self {
+        let (_, closed) = std::io::pipe().unwrap();
+        Self::spawn_with_log(command.stdin(Stdio::null()), closed.into())
+    }
+
     fn spawn(command: &mut Command) -> Self {
+        Self::spawn_with_log(command, Stdio::piped())
+    }
+
+    fn spawn_with_log(command: &mut Command, log: Stdio) -> Self {
         let name = command.get_args().map(|arg| arg.to_string_lossy()).collect::<Vec<_>>().join(" ");
-        let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+        let child = command.stdout(Stdio::piped()).stderr(log).spawn();
         let mut child = child.unwrap_or_else(|error| panic!("cannot start spandrel {name}: {error}"));
         let (stdout, stderr) = (Capture::of(child.stdout.take()), Capture::of(child.stderr.take()));
         Self { name, child, stdout, stderr }
@@ -138,16 +148,20 @@ struct Capture {
     said: Arc<(Mutex<Said>, Condvar)>,
 }
 
-#[derive(Default)]
 struct Said {
     text: String,
     has_ended: bool,
 }
 
 impl Capture {
+    /// Reads until the end; without a pipe that is at once.
     fn of(pipe: Option<impl Read + Send + 'static>) -> Self {
-        let said = Arc::new((Mutex::new(Said::default()), Condvar::new()));
-        let (shared, mut pipe) = (said.clone(), pipe.unwrap());
+        let said = Said { text: String::new(), has_ended: pipe.is_none() };
+        let said = Arc::new((Mutex::new(said), Condvar::new()));
+        let Some(mut pipe) = pipe else {
+            return Self { said };
+        };
+        let shared = said.clone();
         std::thread::spawn(move || {
             let mut buffer = [0; 8192];
             loop {

@@ -39,6 +39,11 @@ impl Site {
         Self { folder, ..Self::of(&structure_file) }
     }
 
+    /// This structure with the root and endpoint of another site.
+    pub fn at(self, other: &Self) -> Self {
+        Self { root: other.root.clone(), endpoint: other.endpoint.clone(), ..self }
+    }
+
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }

@@ -67,8 +67,13 @@ impl AlertService {
         }
         let acknowledgements = bus.subscribe(keys.all_acknowledgements(), ACKNOWLEDGEMENTS_WAITING).await?;
         let settings = StreamSettings::new(Start::Beginning);
+        let parameters = structure.parameters().len();
+        let is_of_structure = move |block: &EstimateBlock| match usize::from(block.parameters) == parameters {
+            true => Ok(()),
+            false => Err("estimates-of-another-structure"),
+        };
         let service = Self {
-            estimates: bus.follow(keys.estimates(), keys.estimates_buffer(), settings).await?,
+            estimates: bus.follow_fit(keys.estimates(), keys.estimates_buffer(), settings, is_of_structure).await?,
             acknowledgements,
             progress: bus.publish_progress(keys.progress(Service::Alert), id.to_string()).await?,
             status: bus.publish_display(keys.status(Service::Alert, &id)).await?,

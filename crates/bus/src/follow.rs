@@ -78,12 +78,17 @@ pub struct FollowCounts {
     pub foreign_blocks: u64,
     /// Blocks ahead of a gap that could not be kept; they are fetched again.
     pub unkept_blocks: u64,
+    /// Times that blocks were numbered beyond what their source says that it has put.
+    pub impossible_blocks: u64,
 }
 
-/// Blocks kept that arrived ahead of a gap; more are fetched again.
-const HELD_BLOCKS: usize = 64;
+/// Blocks kept that arrived ahead of a gap; more are fetched again. Enough for a source of 40 blocks per second that keeps
+/// nothing, until its missing items are given up.
+const HELD_BLOCKS: usize = 256;
 /// Fetches without an answer after which missing items are given up.
 const MAX_FAILURES: u32 = 8;
+/// The same for a source whose missing items have been given up before, and that has answered nothing since: it keeps none.
+const MAX_FAILURES_OF_A_SILENT_SOURCE: u32 = 1;
 
 /// The state machine of one stream.
 #[derive(Debug)]
@@ -92,9 +97,17 @@ pub struct Follower<B> {
     limit: u64,
     position: Option<Position>,
     held: BTreeMap<u64, B>,
-    fetch: Option<u64>,
+    fetch: Option<Fetching>,
     failures: u32,
+    source_is_silent: bool,
     counts: FollowCounts,
+}
+
+/// What has been asked, and how far the stream was known to reach then.
+#[derive(Clone, Copy, Debug)]
+struct Fetching {
+    after: u64,
+    seen_end: u64,
 }
 
 /// How far the running epoch has been delivered, and is known to reach.
@@ -128,6 +141,7 @@ impl<B: Block> Follower<B> {
             held: BTreeMap::new(),
             fetch: None,
             failures: 0,
+            source_is_silent: false,
             counts: FollowCounts::default(),
         }
     }
@@ -168,15 +182,17 @@ impl<B: Block> Follower<B> {
             return; // a poll: the next one will tell
         }
         self.failures += 1;
-        if self.failures >= MAX_FAILURES {
+        let most = if self.source_is_silent { MAX_FAILURES_OF_A_SILENT_SOURCE } else { MAX_FAILURES };
+        if self.failures >= most {
             self.failures = 0;
+            self.source_is_silent = true;
             self.give_up(actions);
         }
         self.fetch_if_missing(actions);
     }
 
     fn answered_with(&mut self, block: B, actions: &mut VecDeque<Action<B>>) {
-        let asked_after = self.fetch;
+        let asked_after = self.fetch.map(|fetch| fetch.after);
         if !self.enter_epoch(&block, actions) {
             return self.unanswered(actions);
         }
@@ -194,6 +210,7 @@ impl<B: Block> Follower<B> {
         self.counts.fetched_items += progress;
         self.fetch = None;
         self.failures = 0;
+        self.source_is_silent = false;
         let ended = self.position.as_ref().is_some_and(|p| p.ended);
         if progress > 0 && !ended {
             self.request(actions); // until the source says that this was all
@@ -219,6 +236,8 @@ impl<B: Block> Follower<B> {
         }
         if at.header.epoch > position.epoch {
             self.change_epoch(at.header.epoch, at.header.source.clone(), actions);
+        } else if self.is_missing() && self.fetch.is_some_and(|fetch| fetch.seen_end > at.header.sequence) {
+            self.disbelieve(at.header.sequence, actions);
         }
         self.see_end(at.header.sequence);
         if self.is_missing() {
@@ -226,6 +245,19 @@ impl<B: Block> Follower<B> {
         }
         self.fetch = None;
         self.failures = 0;
+        self.source_is_silent = false;
+    }
+
+    /// The source was asked after blocks had arrived that are numbered beyond its end: it never put them.
+    ///
+    /// Everything a source puts is in its buffer first. An answer to what was asked before they arrived says nothing of them.
+    fn disbelieve(&mut self, end: u64, actions: &mut VecDeque<Action<B>>) {
+        self.counts.impossible_blocks += 1;
+        self.held.retain(|_, block| block.end() <= end);
+        if let Some(position) = &mut self.position {
+            position.seen_end = position.next.max(end);
+        }
+        self.deliver_held(actions);
     }
 
     /// Takes up the epoch of a block; false if the block is not of this stream.
@@ -263,6 +295,7 @@ impl<B: Block> Follower<B> {
         }
         self.held.clear();
         self.failures = 0;
+        self.source_is_silent = false;
         self.position = Some(Position::new(epoch, Some(source), 0));
     }
 
@@ -365,7 +398,7 @@ impl<B: Block> Follower<B> {
             (None, Start::Now) => u64::MAX, // only asks where the stream stands
             (None, Start::Beginning | Start::At { .. }) => 0,
         };
-        self.fetch = Some(after);
+        self.fetch = Some(Fetching { after, seen_end: self.position.as_ref().map_or(0, |p| p.seen_end) });
         actions.push_back(Action::Fetch {
             range: QueryRange { after, limit: self.limit, epoch: self.position.as_ref().map(|p| p.epoch) },
             failures: self.failures,

@@ -71,6 +71,8 @@ pub struct StreamCounts {
     pub overflowed: u64,
     /// Messages refused, by reason.
     pub refused: BTreeMap<&'static str, u64>,
+    /// Blocks that the reader's own check found unfit, by its reason.
+    pub unfit: BTreeMap<&'static str, u64>,
 }
 
 impl StreamCounts {
@@ -85,14 +87,16 @@ impl StreamCounts {
             ("stale-blocks", follow.stale_blocks),
             ("foreign-blocks", follow.foreign_blocks),
             ("unkept-blocks", follow.unkept_blocks),
+            ("impossible-blocks", follow.impossible_blocks),
             ("overflowed-messages", self.overflowed),
         ];
         let counted = counts.into_iter().filter(|(_, count)| *count > 0);
-        let refused = self.refused.iter();
-        counted
-            .map(|(reason, count)| (reason.to_owned(), count))
-            .chain(refused.map(|(reason, count)| (format!("refused-{reason}"), *count)))
-            .collect()
+        let mut drops: BTreeMap<String, u64> = counted.map(|(reason, count)| (reason.to_owned(), count)).collect();
+        for (reason, count) in &self.unfit {
+            *drops.entry((*reason).to_owned()).or_default() += count;
+        }
+        drops.extend(self.refused.iter().map(|(reason, count)| (format!("refused-{reason}"), *count)));
+        drops
     }
 }
 
@@ -134,6 +138,21 @@ impl Bus {
         buffer_key: String,
         settings: StreamSettings,
     ) -> Result<Stream<B>, BusError> {
+        self.follow_fit(key, buffer_key, settings, |_| Ok(())).await
+    }
+
+    /// As [`Bus::follow`], of blocks that fit: others are counted under the reason that `check` gives, and change nothing,
+    /// whatever their epoch and numbers say.
+    ///
+    /// # Errors
+    /// As [`Bus::follow`].
+    pub async fn follow_fit<B: Block>(
+        &self,
+        key: String,
+        buffer_key: String,
+        settings: StreamSettings,
+        check: impl Fn(&B) -> Result<(), &'static str> + Send + 'static,
+    ) -> Result<Stream<B>, BusError> {
         let overflowed = Arc::new(AtomicU64::new(0));
         let (samples, arrived) = flume::bounded(settings.queue.max(1));
         let (out, deliveries) = flume::bounded(settings.deliveries.max(1));
@@ -157,6 +176,7 @@ impl Bus {
             key,
             buffer_key,
             settings,
+            check: Box::new(check),
             counts: counts.clone(),
         };
         let mut reading = JoinSet::new();
@@ -191,6 +211,7 @@ struct Reader<B> {
     key: String,
     buffer_key: String,
     settings: StreamSettings,
+    check: Box<dyn Fn(&B) -> Result<(), &'static str> + Send>,
     counts: Arc<Mutex<StreamCounts>>,
 }
 
@@ -235,7 +256,8 @@ impl<B: Block> Reader<B> {
         self.polls = 0;
         let payload = sample.payload().to_bytes();
         match B::decode(&sample.encoding().to_string(), &payload) {
-            Ok(block) => self.follower.live(block, &mut self.actions),
+            Ok(block) if self.fits(&block) => self.follower.live(block, &mut self.actions),
+            Ok(_unfit) => {}
             Err(error) => self.refuse(&error),
         }
     }
@@ -243,6 +265,7 @@ impl<B: Block> Reader<B> {
     fn fetched(&mut self, fetched: Fetched<B>) {
         self.fetch = None;
         match fetched {
+            Some(Ok(Answer::Block(block))) if !self.fits(&block) => self.follower.unanswered(&mut self.actions),
             Some(Ok(answer)) => self.follower.answered(answer, &mut self.actions),
             Some(Err(error)) => {
                 self.refuse(&error);
@@ -250,6 +273,21 @@ impl<B: Block> Reader<B> {
             }
             None => self.follower.unanswered(&mut self.actions),
         }
+    }
+
+    /// Whether a block fits; if not it is counted, and logged each time the count has doubled.
+    fn fits(&self, block: &B) -> bool {
+        let Err(reason) = (self.check)(block) else {
+            return true;
+        };
+        let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = counts.unfit.entry(reason).or_default();
+        *count += 1;
+        if count.is_power_of_two() {
+            let source = block.header().source.as_str();
+            warn!(key = self.key, source, reason, count = *count, "block refused");
+        }
+        false
     }
 
     /// Counted always, logged each time the count has doubled.

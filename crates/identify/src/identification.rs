@@ -158,6 +158,9 @@ impl Identification {
     }
 
     fn take_block(&mut self, block: &FrameBlock, outputs: &mut Vec<Output>) {
+        if usize::from(block.channels) != self.frame.len() {
+            return; // of another structure: such a block is refused where it is read
+        }
         if self.stream.is_none_or(|stream| stream.epoch != block.header.epoch) {
             self.enter_epoch(block, outputs);
         }

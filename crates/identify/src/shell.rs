@@ -78,7 +78,15 @@ impl IdentifyService {
         description
             .put(&Description { structure: keys.structure().clone(), text: structure.text().to_owned() })
             .await?;
-        let frames = bus.follow(keys.frames(), keys.recording(), StreamSettings::new(Start::Beginning)).await?;
+        let (channels, rate_hz) = (structure.channel_count(), structure.sampling_rate_hz());
+        let is_of_structure = move |block: &FrameBlock| match usize::from(block.channels) == channels
+            && block.sampling_rate_hz == rate_hz
+        {
+            true => Ok(()),
+            false => Err("frames-of-another-structure"),
+        };
+        let settings = StreamSettings::new(Start::Beginning);
+        let frames = bus.follow_fit(keys.frames(), keys.recording(), settings, is_of_structure).await?;
         let service = Self {
             pool,
             frames,

@@ -125,7 +125,12 @@ impl IngestService {
         let mut nodes = Vec::new();
         for node in layout.nodes() {
             let settings = StreamSettings::new(Start::Beginning);
-            nodes.push(bus.follow(keys.samples(&node.name), keys.buffer(&node.name), settings).await?);
+            let source = node.name.to_string();
+            let is_of_node = move |block: &SampleBlock| match block.header.source == source {
+                true => Ok(()),
+                false => Err("foreign-blocks"),
+            };
+            nodes.push(bus.follow_fit(keys.samples(&node.name), keys.buffer(&node.name), settings, is_of_node).await?);
         }
         let service = Self {
             core: Alignment::new(layout.clone(), id.to_string(), epoch),

@@ -73,11 +73,13 @@ pub enum Clocks {
 pub struct Cutter {
     nodes: Vec<NodePlan>,
     open: Vec<SampleBlock>,
-    block_samples: u64,
+    /// Most samples of a block, per node.
+    block_samples: Vec<u64>,
 }
 
 impl Cutter {
-    /// A cutter whose blocks have at most `block_samples` samples.
+    /// A cutter whose blocks have at most `block_samples` samples of the fastest node, and of the others what they take in
+    /// that time: a frame waits for all its nodes.
     #[must_use]
     pub fn new(nodes: Vec<NodePlan>, epoch: u64, block_samples: u64) -> Self {
         let open = nodes.iter().map(|node| SampleBlock {
@@ -88,7 +90,10 @@ impl Cutter {
             samples: Vec::new(),
             state: StreamState::Running,
         });
-        Self { open: open.collect(), nodes, block_samples: block_samples.max(1) }
+        let fastest_hz = nodes.iter().map(|node| node.sampling_rate_hz).fold(0.0, f64::max);
+        let of_node = |node: &NodePlan| ((block_samples as f64 * node.sampling_rate_hz / fastest_hz) as u64).max(1);
+        let block_samples = nodes.iter().map(of_node).collect();
+        Self { open: open.collect(), nodes, block_samples }
     }
 
     /// The nodes.
@@ -102,13 +107,14 @@ impl Cutter {
     /// Channels that the row lacks are missing.
     pub fn push(&mut self, time_ns: i64, values: &[f64], blocks: &mut Vec<(usize, SampleBlock)>) {
         let mut values = values.iter().copied().chain(std::iter::repeat(f64::NAN));
-        for (index, (node, open)) in self.nodes.iter().zip(&mut self.open).enumerate() {
+        let nodes = self.nodes.iter().zip(&mut self.open).zip(&self.block_samples);
+        for (index, ((node, open), block_samples)) in nodes.enumerate() {
             let sample: Vec<f64> = values.by_ref().take(usize::from(node.channels)).collect();
             if node.pace == NodePace::Slower && sample.iter().all(|value| value.is_nan()) {
                 continue;
             }
             let time_ns = time_ns.saturating_add(node.clock_offset_ns);
-            let full = open.count() >= self.block_samples;
+            let full = open.count() >= *block_samples;
             if open.count() > 0 && (full || !continues(open, time_ns)) {
                 let next = empty_after(open);
                 blocks.push((index, std::mem::replace(open, next)));
@@ -214,6 +220,15 @@ mod tests {
         let blocks = cut(vec![plan], 10, &rows);
         assert_eq!(blocks.len(), 1);
         assert_eq!(blocks[0].1.samples, [0.0, 2.0]);
+    }
+
+    #[test]
+    fn blocks_of_a_slower_node_last_as_long_as_those_of_the_fastest() {
+        let slow = NodePlan { sampling_rate_hz: 20.0, pace: NodePace::Slower, ..node("b", 1) };
+        let rows: Vec<_> = (0..100).map(|n| (n * STEP, vec![0.0, if n % 10 == 0 { 1.0 } else { f64::NAN }])).collect();
+        let blocks = cut(vec![node("a", 1), slow], 40, &rows);
+        let counts = |node| of_node(&blocks, node).iter().map(|block| block.count()).collect::<Vec<_>>();
+        assert_eq!((counts(0), counts(1)), (vec![40, 40, 20], vec![4, 4, 2]));
     }
 
     #[test]

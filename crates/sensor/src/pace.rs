@@ -1,5 +1,6 @@
 //! How fast rows may be put: the speed asked for, and the window that keeps a source from running ahead.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use spandrel_bus::Progress;
@@ -30,8 +31,8 @@ impl Speed {
 /// What may be on the way between a source and the services that it waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
-    /// Its length in measurement time, ns.
-    pub length_ns: i64,
+    /// Rows put and not yet done, at most. Rows, not time: a hole in a record holds none, however long it is.
+    pub rows: u64,
     /// Distance of two rows, ns.
     pub step_ns: i64,
     /// How far the clock of any node is ahead, ns.
@@ -40,16 +41,47 @@ pub struct Window {
     pub min_epoch: u64,
 }
 
+/// The rows last put, batch by batch: as many as the window may hold, and some more.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RowsPut {
+    /// Time of the last row of a batch, ns, and number of its rows.
+    batches: VecDeque<(i64, u64)>,
+    rows: u64,
+}
+
+impl RowsPut {
+    /// Adds a batch; forgets what is older than the window.
+    pub fn push(&mut self, window: &Window, time_ns: i64, rows: u64) {
+        self.batches.push_back((time_ns, rows));
+        self.rows += rows;
+        while let Some((_, oldest)) = self.batches.front().filter(|(_, oldest)| self.rows - oldest > window.rows) {
+            self.rows -= oldest;
+            self.batches.pop_front();
+        }
+    }
+
+    fn last_ns(&self) -> Option<i64> {
+        self.batches.back().map(|(time_ns, _)| *time_ns)
+    }
+
+    /// Rows of batches whose last row is after a time (ns).
+    fn after(&self, time_ns: i64) -> u64 {
+        self.batches.iter().filter(|(last_ns, _)| *last_ns > time_ns).map(|(_, rows)| rows).sum()
+    }
+}
+
 impl Window {
-    /// Whether a row of `time_ns` may be put, `put_ns` being the time of the last one put and `first_ns` of the first.
+    /// Whether a batch of so many rows may be put after `put`.
     ///
     /// Progress beyond what has been put is that of an earlier run over the same record, and does not count.
     #[must_use]
-    pub fn admits(&self, time_ns: i64, put_ns: i64, first_ns: i64, progress: Option<&Progress>) -> bool {
-        let furthest = put_ns.saturating_add(self.clock_ahead_ns).saturating_add(self.step_ns);
+    pub fn admits(&self, rows: u64, put: &RowsPut, progress: Option<&Progress>) -> bool {
+        let furthest = put
+            .last_ns()
+            .map_or(i64::MIN, |last_ns| last_ns.saturating_add(self.clock_ahead_ns).saturating_add(self.step_ns));
         let of_this_run = |p: &&Progress| p.header.epoch >= self.min_epoch && p.header.time_ns <= furthest;
-        let done_ns = progress.filter(of_this_run).map_or(first_ns, |p| p.header.time_ns.max(first_ns));
-        time_ns.saturating_sub(done_ns) <= self.length_ns
+        let done_ns = progress.filter(of_this_run).map_or(i64::MIN, |p| p.header.time_ns);
+        put.after(done_ns) + rows <= self.rows.max(rows)
     }
 
     /// Whether everything up to the last sample, of time `last_ns`, is done.
@@ -66,28 +98,47 @@ mod tests {
     use super::*;
     use spandrel_bus::Header;
 
-    const WINDOW: Window = Window { length_ns: 100, step_ns: 10, clock_ahead_ns: 0, min_epoch: 5 };
+    const WINDOW: Window = Window { rows: 10, step_ns: 10, clock_ahead_ns: 0, min_epoch: 5 };
 
     fn progress(epoch: u64, time_ns: i64) -> Progress {
         Progress { header: Header { source: "identify".into(), epoch, sequence: 0, time_ns }, done: 0 }
     }
 
+    /// Batches of 5 rows of these times, ns.
+    fn put(times_ns: &[i64]) -> RowsPut {
+        let mut put = RowsPut::default();
+        times_ns.iter().for_each(|time_ns| put.push(&WINDOW, *time_ns, 5));
+        put
+    }
+
     #[test]
     fn a_source_starts_without_progress_and_stops_at_the_window() {
-        assert!(WINDOW.admits(1100, 1090, 1000, None));
-        assert!(!WINDOW.admits(1110, 1100, 1000, None));
+        assert!(WINDOW.admits(5, &put(&[]), None));
+        assert!(WINDOW.admits(5, &put(&[1050]), None));
+        assert!(!WINDOW.admits(5, &put(&[1050, 1100]), None));
     }
 
     #[test]
     fn progress_moves_the_window() {
-        assert!(WINDOW.admits(1150, 1140, 1000, Some(&progress(5, 1050))));
-        assert!(!WINDOW.admits(1160, 1150, 1000, Some(&progress(5, 1050))));
+        assert!(WINDOW.admits(5, &put(&[1050, 1100]), Some(&progress(5, 1050))));
+        assert!(!WINDOW.admits(5, &put(&[1050, 1100, 1150]), Some(&progress(5, 1050))));
+    }
+
+    #[test]
+    fn a_hole_in_time_does_not_count() {
+        assert!(WINDOW.admits(5, &put(&[1050, 1_000_000]), Some(&progress(5, 1050))));
+    }
+
+    #[test]
+    fn a_batch_larger_than_the_window_goes_alone() {
+        assert!(WINDOW.admits(50, &put(&[1050]), Some(&progress(5, 1050))));
+        assert!(!WINDOW.admits(50, &put(&[1050]), None));
     }
 
     #[test]
     fn progress_of_an_earlier_run_does_not_count() {
-        assert!(!WINDOW.admits(1110, 1100, 1000, Some(&progress(4, 1100))));
-        assert!(!WINDOW.admits(1110, 1100, 1000, Some(&progress(5, 5000))));
+        assert!(!WINDOW.admits(5, &put(&[1050, 1100]), Some(&progress(4, 1100))));
+        assert!(!WINDOW.admits(5, &put(&[1050, 1100]), Some(&progress(5, 5000))));
         assert!(!WINDOW.all_done(1100, &progress(4, 1100)));
     }
 

@@ -13,7 +13,7 @@ use tracing::{info, warn};
 
 use crate::cut::{Cutter, NodePlan};
 use crate::error::SensorError;
-use crate::pace::{Speed, Window};
+use crate::pace::{RowsPut, Speed, Window};
 use crate::rows::Row;
 
 /// Frames on the way at most: a few seconds of work, and less than any queue or ring downstream holds.
@@ -58,16 +58,17 @@ pub struct SensorService {
     progress: Vec<(Service, ProgressWatch)>,
 }
 
-/// Blocks cut together, with the time of the last row in them.
+/// Blocks cut together, with the time of the last row read, and the rows read since the batch before.
 struct Batch {
     time_ns: i64,
+    rows: u64,
     blocks: Vec<(usize, SampleBlock)>,
 }
 
 /// How far the nodes have come.
 struct Put {
     first_ns: i64,
-    last_ns: i64,
+    rows: RowsPut,
     last_sample_ns: i64,
     next: Vec<Option<SampleBlock>>,
 }
@@ -130,7 +131,7 @@ impl SensorService {
             () = &mut stop => return self.withdraw().await,
         }
         let window = self.window().await;
-        let mut put = Put { first_ns: 0, last_ns: 0, last_sample_ns: i64::MIN, next: Vec::new() };
+        let mut put = Put { first_ns: 0, rows: RowsPut::default(), last_sample_ns: i64::MIN, next: Vec::new() };
         put.next.resize_with(self.publishers.len(), || None);
         let nodes = self.cutter.nodes().to_vec();
         let cutter = std::mem::replace(&mut self.cutter, Cutter::new(nodes, self.settings.epoch, 1));
@@ -187,7 +188,7 @@ impl SensorService {
         let offsets = || self.cutter.nodes().iter().map(|node| node.clock_offset_ns);
         let (ahead, behind) = (offsets().max().unwrap_or(0), offsets().min().unwrap_or(0));
         Window {
-            length_ns: step_ns.saturating_mul(WINDOW_FRAMES as i64).saturating_add(ahead.saturating_sub(behind)),
+            rows: WINDOW_FRAMES + (ahead.saturating_sub(behind) / step_ns.max(1)).unsigned_abs(),
             step_ns,
             clock_ahead_ns: ahead.max(0),
             min_epoch,
@@ -201,16 +202,16 @@ impl SensorService {
         put: &mut Put,
     ) -> Result<(), SensorError> {
         let mut started = None;
-        while let Ok(Batch { time_ns, blocks }) = batches.recv_async().await {
+        while let Ok(Batch { time_ns, rows, blocks }) = batches.recv_async().await {
             let started = *started.get_or_insert_with(|| {
-                (put.first_ns, put.last_ns) = (time_ns, time_ns);
+                put.first_ns = time_ns;
                 Instant::now()
             });
             if let Some(due) = self.settings.speed.due(put.first_ns, time_ns) {
                 sleep_until(started + due).await;
             }
             for (_, watch) in &self.progress {
-                let admits = |p: Option<&Progress>| window.admits(time_ns, put.last_ns, put.first_ns, p);
+                let admits = |p: Option<&Progress>| window.admits(rows, &put.rows, p);
                 let mut watch = watch.clone();
                 if !admits(watch.latest().as_ref()) {
                     watch.wait_for(|progress| admits(Some(progress))).await;
@@ -220,7 +221,7 @@ impl SensorService {
                 put.note(node, &block);
                 self.publishers[node].put(block).await?;
             }
-            put.last_ns = time_ns;
+            put.rows.push(window, time_ns, rows);
         }
         Ok(())
     }
@@ -285,7 +286,7 @@ fn cut_all<E>(
     rows: impl Iterator<Item = Result<Row, E>>,
     out: &flume::Sender<Batch>,
 ) -> Result<(), E> {
-    let mut time_ns = 0;
+    let (mut time_ns, mut rows_cut) = (0, 0);
     let mut failure = None;
     for row in rows {
         let row = match row {
@@ -296,15 +297,19 @@ fn cut_all<E>(
             }
         };
         time_ns = row.time_ns;
+        rows_cut += 1;
         let mut blocks = Vec::new();
         cutter.push(row.time_ns, &row.values, &mut blocks);
-        if !blocks.is_empty() && out.send(Batch { time_ns, blocks }).is_err() {
-            return Ok(());
+        if !blocks.is_empty() {
+            let rows = std::mem::take(&mut rows_cut);
+            if out.send(Batch { time_ns, rows, blocks }).is_err() {
+                return Ok(());
+            }
         }
     }
     // What came before an error is good, and has an end like any other.
     let mut blocks = Vec::new();
     cutter.end(&mut blocks);
-    let _ = out.send(Batch { time_ns, blocks }); // nobody receives after a stop
+    let _ = out.send(Batch { time_ns, rows: rows_cut, blocks }); // nobody receives after a stop
     failure.map_or(Ok(()), Err)
 }

@@ -381,3 +381,56 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_block_numbered_beyond_the_end_of_its_source_is_not_believed() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    let first = rig.put(2);
+    rig.live(first);
+    rig.live(frames(1, 1 << 60, 5));
+    rig.answer();
+    assert_eq!((rig.fetch, rig.follower.counts().impossible_blocks), (None, 1));
+    let second = rig.put(2);
+    rig.live(second);
+    assert_eq!(rig.items(), all(0..4));
+}
+
+#[test]
+fn an_answer_to_what_was_asked_before_a_block_came_says_nothing_of_it() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    let first = rig.put(2);
+    rig.live(first);
+    rig.idle();
+    let range = rig.fetch.unwrap();
+    let early = rig.ring.answer(&range);
+    rig.put(2); // lost
+    let third = rig.put(2);
+    rig.live(third);
+    rig.fetch = None;
+    rig.follower.answered(early, &mut rig.actions);
+    rig.work();
+    rig.settle();
+    assert_eq!((rig.items(), rig.follower.counts().impossible_blocks), (all(0..6), 0));
+}
+
+#[test]
+fn of_a_source_that_keeps_nothing_only_what_is_lost_is_missing() {
+    const BLOCKS_PER_FAILURE: u64 = 28; // 40 per second, while missing items are given up within 5.5 s
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.ring.push(frames(1, 0, 1000)).unwrap(); // before the reader came
+    for round in 0..20 {
+        for block in 0..BLOCKS_PER_FAILURE {
+            let block_is_lost = round == 12 && block == 3;
+            let put = rig.put(1);
+            if !block_is_lost {
+                rig.live(put);
+            }
+        }
+        rig.fail();
+    }
+    rig.fail();
+    let end = 1000 + 20 * BLOCKS_PER_FAILURE;
+    let lost = 1000 + 12 * BLOCKS_PER_FAILURE + 3;
+    let came = |number| number >= 1000 && number != lost;
+    assert_eq!(rig.items(), (0..end).map(|number| came(number).then_some(number)).collect::<Vec<_>>());
+}
