@@ -59,22 +59,6 @@ async fn an_ingest_that_was_killed_in_a_replay_gets_the_samples_from_its_nodes()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_replay_that_was_killed_can_be_started_again() {
-    let site = Site::of(&five_storeys());
-    let record = site.simulate(RECORD_S);
-    let _services = site.run();
-    let bus = site.join().await;
-    site.wait_for_services(&bus).await;
-    let mut reader = EstimateReader::join(&bus, &site.keys()).await;
-    let replay = site.replay(&record, "10");
-    reader.read_frames(100).await;
-    replay.kill();
-    site.replay(&record, "max").wait().expect_code(0);
-    let found = reader.read_to_end(2).await;
-    assert_is_the_whole_record(&found[found.len() - record.len()..]);
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn a_replay_that_is_stopped_ends_its_nodes_where_they_are() {
     let site = Site::with(&two_storeys(""));
     let record = site.simulate(RECORD_S);

@@ -18,7 +18,9 @@ pub fn start(format: LogFormat, verbose: u8) {
         "error,spandrel={level},spandrel_bus={level},spandrel_sensor={level},spandrel_ingest={level},spandrel_identify={level},spandrel_alert={level},spandrel_structure={level},spandrel_record={level}"
     );
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(fallback));
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(HeldStderr::default);
+    // A log that cannot be written (closed pipe, full disk) must not stop a service: by default that panics.
+    let builder = tracing_subscriber::fmt().with_env_filter(filter).log_internal_errors(false);
+    let builder = builder.with_writer(HeldStderr::default);
     match format {
         LogFormat::Text => builder.with_ansi(std::io::stderr().is_terminal()).init(),
         LogFormat::Json => builder.json().init(),
