@@ -199,6 +199,9 @@ impl Bus {
     }
 }
 
+/// Says why a block does not fit its reader, if it does not.
+type Check<B> = Box<dyn Fn(&B) -> Result<(), &'static str> + Send>;
+
 /// What came of a fetch; none if nobody answered.
 type Fetched<B> = Option<Result<Answer<B>, DecodeError>>;
 
@@ -211,7 +214,7 @@ struct Reader<B> {
     key: String,
     buffer_key: String,
     settings: StreamSettings,
-    check: Box<dyn Fn(&B) -> Result<(), &'static str> + Send>,
+    check: Check<B>,
     counts: Arc<Mutex<StreamCounts>>,
 }
 
