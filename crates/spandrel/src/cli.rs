@@ -149,7 +149,7 @@ pub struct DemoArguments {
     /// End with one JSON object.
     #[arg(long)]
     pub json: bool,
-    /// Another structure file with a [simulation] than the built-in one.
+    /// Another structure file, with a simulation table, than the built-in one.
     #[arg(long, value_name = "STRUCTURE.toml")]
     pub structure: Option<PathBuf>,
     #[command(flatten)]
@@ -181,7 +181,7 @@ pub struct SimulateArguments {
 pub struct ReplayArguments {
     /// The recording.
     pub record: PathBuf,
-    /// Structure file; its [record] table says which column is which channel.
+    /// Structure file; its record table says which column is which channel.
     #[arg(long, value_name = "STRUCTURE.toml")]
     pub structure: PathBuf,
     /// Times real time, or max.
