@@ -67,6 +67,10 @@ pub enum Command {
     /// Check a structure file: natural frequencies, damping, and what these sensors can tell.
     #[command(after_help = "Example: spandrel check tower.toml")]
     Check(CheckArguments),
+    /// Rebuild the published examples of the method, and compare with the published figures.
+    #[command(after_help = "Examples: spandrel validate --quick\n          \
+                      spandrel validate ekf.bridge outlier --seeds 3 --report validation")]
+    Validate(ValidateArguments),
     /// Watch parameters and alerts of a running system in this terminal.
     #[command(after_help = "Example: spandrel watch tower --connect tcp/127.0.0.1:7447")]
     Watch(WatchArguments),
@@ -237,6 +241,31 @@ pub struct CheckArguments {
     /// One JSON object instead of text.
     #[arg(long)]
     pub json: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct ValidateArguments {
+    /// Cases, or the first part of their names such as `ekf` [default: all].
+    #[arg(value_name = "CASE")]
+    pub cases: Vec<String>,
+    /// List the cases and end.
+    #[arg(long)]
+    pub list: bool,
+    /// Shortened records, with the figures that hold for them.
+    #[arg(long)]
+    pub quick: bool,
+    /// Run each case for the seeds 1 to N.
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
+    pub seeds: u64,
+    /// Cases at the same time [default: one for each core].
+    #[arg(long, value_name = "N")]
+    pub jobs: Option<usize>,
+    /// One JSON object a line, each a figure.
+    #[arg(long)]
+    pub json: bool,
+    /// Write index.html and figures.md with diagrams there; outcomes are kept, so that a stopped run goes on.
+    #[arg(long, value_name = "DIR")]
+    pub report: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]

@@ -8,6 +8,7 @@ mod progress;
 mod replay;
 mod run;
 mod simulate;
+mod validate;
 mod watch;
 
 use crate::cli::{Arguments, Command};
@@ -31,6 +32,7 @@ pub fn run(command: Command) -> Result<(), AppError> {
         Command::Estimate(arguments) => estimate::run(&arguments),
         Command::Baseline(arguments) => baseline::run(&arguments),
         Command::Check(arguments) => check::run(arguments),
+        Command::Validate(arguments) => validate::run(&arguments),
         Command::Watch(arguments) => watch::run(arguments),
         Command::Completions { shell } => {
             let mut script = Vec::new();

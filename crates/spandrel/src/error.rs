@@ -7,6 +7,7 @@ use spandrel_ingest::IngestError;
 use spandrel_record::RecordError;
 use spandrel_sensor::SensorError;
 use spandrel_structure::StructureError;
+use spandrel_validate::ValidateError;
 use std::error::Error;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -89,6 +90,17 @@ pub enum AppError {
         /// What the runtime says.
         source: tokio::task::JoinError,
     },
+    /// The validation could not be run, or its report not written.
+    #[error(transparent)]
+    Validate(#[from] ValidateError),
+    /// The validation ran and not all is as required.
+    #[error("{missed} figures are not as required, {failed} runs failed")]
+    FiguresMissed {
+        /// Figures outside.
+        missed: usize,
+        /// Runs without outcome.
+        failed: usize,
+    },
     /// A recording has no frame from which a baseline could be learnt.
     #[error("{}: has no frame after the first {skip_s} s, nothing can be learnt from it", path.display())]
     NothingLearnt {
@@ -111,6 +123,7 @@ impl AppError {
             | Self::SameStructure { .. }
             | Self::NothingLearnt { .. }
             | Self::Name(_)
+            | Self::Validate(ValidateError::UnknownCase { .. })
             | Self::Sensor(SensorError::Record(_))
             | Self::Bus(BusError::ConfigFile { .. } | BusError::Setting { .. })
             | Self::Alert(
@@ -124,6 +137,8 @@ impl AppError {
             | Self::Identify(_)
             | Self::Alert(_)
             | Self::Sensor(_)
+            | Self::Validate(_)
+            | Self::FiguresMissed { .. }
             | Self::Io { .. }
             | Self::Panicked { .. } => ExitCode::FAILURE,
         }

@@ -3,6 +3,15 @@
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
 
+/// Makes a bar that shows how much of `length` steps is done, for a group of bars on standard error.
+pub fn share_bar(length: u64) -> ProgressBar {
+    let bar = ProgressBar::new(length);
+    match ProgressStyle::with_template("{msg:32} {bar:40} {percent:>3} % {eta}") {
+        Ok(style) => bar.with_style(style),
+        Err(_) => bar,
+    }
+}
+
 /// Makes a bar of `length` steps; hidden when standard error is no terminal.
 pub fn bar(what: &'static str, length: Option<u64>) -> ProgressBar {
     let target = match std::io::stderr().is_terminal() {

@@ -1,0 +1,107 @@
+//! `spandrel validate`: published examples against published figures.
+
+use super::{print, progress};
+use crate::cli::ValidateArguments;
+use crate::error::AppError;
+use indicatif::{MultiProgress, ProgressBar};
+use spandrel_validate::{Case, Length, Outcome, Plan, Report, ValidateError, Watch, cases, select};
+use std::collections::HashMap;
+use std::fmt::Write as _;
+use std::sync::{Mutex, PoisonError};
+
+/// Steps of a bar: a share of a case is shown to a thousandth.
+const STEPS: u64 = 1000;
+
+/// Runs the cases and prints their figures.
+///
+/// # Errors
+/// When a case is unknown, a report cannot be written, or a figure is not what is required.
+pub fn run(arguments: &ValidateArguments) -> Result<(), AppError> {
+    if arguments.list {
+        return list();
+    }
+    let length = if arguments.quick { Length::Quick } else { Length::Full };
+    let threads = arguments.jobs.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+    let seeds = (1..=arguments.seeds).collect();
+    let mut plan = Plan::new(select(&arguments.cases)?, seeds, length).threads(threads);
+    if let Some(directory) = &arguments.report {
+        plan = plan.keep(&directory.join("outcomes"), program_mark());
+    }
+    let report = plan.run(&Bars::default())?;
+    if let Some(directory) = &arguments.report {
+        report.write(directory)?;
+    }
+    print(&if arguments.json { lines(&report) } else { report.text() })?;
+    let missed = report.figures().filter(|figure| !figure.passed).count();
+    let failed = report.cases.iter().map(|case| case.failures.len()).sum();
+    if report.passed() { Ok(()) } else { Err(AppError::FiguresMissed { missed, failed }) }
+}
+
+fn list() -> Result<(), AppError> {
+    let mut text = String::new();
+    let widest = cases().iter().map(|case| case.name.len()).max().unwrap_or(0);
+    for Case { name, title, source, .. } in cases() {
+        // writing to a String does not fail
+        let _ = writeln!(text, "{name:<widest$}  {title} ({source})");
+    }
+    print(&text)
+}
+
+/// One JSON object a line, each a figure; a run without outcome is one with an error.
+fn lines(report: &Report) -> String {
+    let mut text = String::new();
+    for case in &report.cases {
+        for figure in &case.figures {
+            let _ = writeln!(text, "{}", serde_json::json!(figure));
+        }
+        for (seed, why) in &case.failures {
+            let _ =
+                writeln!(text, "{}", serde_json::json!({"case": case.name, "seed": seed, "error": why, "pass": false}));
+        }
+    }
+    text
+}
+
+/// Tells outcomes of this program from those of another: its version, and size and date of its file.
+fn program_mark() -> String {
+    let file = std::env::current_exe().and_then(|path| path.metadata());
+    let changed = file.as_ref().ok().and_then(|file| file.modified().ok());
+    let age = changed.and_then(|time| time.duration_since(std::time::UNIX_EPOCH).ok()).map_or(0, |age| age.as_nanos());
+    format!("{} {} {age}", env!("CARGO_PKG_VERSION"), file.map_or(0, |file| file.len()))
+}
+
+/// One bar for each run that is under way.
+#[derive(Default)]
+struct Bars {
+    all: MultiProgress,
+    running: Mutex<HashMap<(&'static str, u64), ProgressBar>>,
+}
+
+impl Bars {
+    fn running(&self) -> std::sync::MutexGuard<'_, HashMap<(&'static str, u64), ProgressBar>> {
+        self.running.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Watch for Bars {
+    fn advanced(&self, case: &Case, seed: u64, share: f64) {
+        let mut running = self.running();
+        let bar = running.entry((case.name, seed)).or_insert_with(|| {
+            let bar = self.all.add(progress::share_bar(STEPS));
+            bar.set_message(format!("{} seed {seed}", case.name));
+            bar
+        });
+        bar.set_position((share * STEPS as f64) as u64);
+    }
+
+    fn finished(&self, case: &Case, seed: u64, result: Result<&Outcome, &ValidateError>, kept: bool) {
+        if let Some(bar) = self.running().remove(&(case.name, seed)) {
+            bar.finish_and_clear();
+        }
+        match result {
+            Ok(_) if kept => tracing::info!(case = case.name, seed, "taken from the report's directory"),
+            Ok(_) => tracing::info!(case = case.name, seed, "done"),
+            Err(error) => tracing::warn!(case = case.name, seed, %error, "has no outcome"),
+        }
+    }
+}

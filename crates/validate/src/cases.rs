@@ -1,0 +1,80 @@
+//! The cases, one a published example.
+
+use crate::error::ValidateError;
+use crate::outcome::Outcome;
+use crate::run::Run;
+
+mod kalman_building;
+mod kalman_vehicle;
+
+/// One published example.
+#[derive(Debug)]
+pub struct Case {
+    /// Its name, `group.example`.
+    pub name: &'static str,
+    /// What it is.
+    pub title: &'static str,
+    /// Where it was published.
+    pub source: &'static str,
+    /// How long it takes beside others (about seconds for one seed at full length).
+    pub weight: f64,
+    pub(crate) run: fn(&Run<'_>) -> Result<Outcome, ValidateError>,
+}
+
+const BOOK_2: &str = "Huang & Yuen (2023), chapter 2";
+
+static CASES: [Case; 2] = [
+    Case {
+        name: "kalman.vehicle",
+        title: "Tracking of a vehicle with the Kalman filter",
+        source: BOOK_2,
+        weight: 0.1,
+        run: kalman_vehicle::run,
+    },
+    Case {
+        name: "kalman.building-60",
+        title: "Responses of a sixty-storey building with the Kalman filter",
+        source: BOOK_2,
+        weight: 25.0,
+        run: kalman_building::run,
+    },
+];
+
+/// Returns all cases, in the order of their sources.
+#[must_use]
+pub fn cases() -> &'static [Case] {
+    &CASES
+}
+
+/// Returns the cases of some names; a name also stands for all that begin with it and a full stop, and none for all.
+///
+/// # Errors
+/// When a name stands for no case.
+pub fn select(names: &[String]) -> Result<Vec<&'static Case>, ValidateError> {
+    let stands_for = |name: &str, case: &Case| {
+        case.name == name || case.name.strip_prefix(name).is_some_and(|rest| rest.starts_with('.'))
+    };
+    if let Some(found) = names.iter().find(|name| !CASES.iter().any(|case| stands_for(name, case))) {
+        let known: Vec<&str> = CASES.iter().map(|case| case.name).collect();
+        return Err(ValidateError::UnknownCase { found: found.clone(), known: known.join(", ") });
+    }
+    Ok(CASES.iter().filter(|case| names.is_empty() || names.iter().any(|name| stands_for(name, case))).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_select_cases_and_groups() {
+        let names = |names: &[&str]| -> Vec<&str> {
+            let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
+            select(&names).unwrap().iter().map(|case| case.name).collect()
+        };
+        assert_eq!(names(&[]).len(), CASES.len());
+        assert_eq!(names(&["kalman.vehicle"]), ["kalman.vehicle"]);
+        assert_eq!(names(&["kalman"]), ["kalman.vehicle", "kalman.building-60"]);
+        let error = select(&["kalma".to_owned()]).unwrap_err().to_string();
+        assert!(error.contains("kalma;") && error.contains("kalman.vehicle"), "{error}");
+    }
+}

@@ -1,0 +1,157 @@
+//! One number of an example: published, required, measured.
+
+use serde::{Deserialize, Serialize};
+
+/// What a measured number must be.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Required {
+    /// Within a distance of a value.
+    Within {
+        /// The value.
+        of: f64,
+        /// The largest distance.
+        by: f64,
+    },
+    /// In a closed range.
+    Between {
+        /// Its lower end.
+        low: f64,
+        /// Its upper end.
+        high: f64,
+    },
+    /// At least this.
+    AtLeast(f64),
+    /// At most this.
+    AtMost(f64),
+    /// Nothing: the number is a limit or a substitute, shown and not judged.
+    Reported,
+}
+
+impl Required {
+    /// Within a share of a value, such as 0.05 for ± 5 %.
+    #[must_use]
+    pub fn relative(of: f64, share: f64) -> Self {
+        Self::Within { of, by: of.abs() * share }
+    }
+
+    /// Says whether a measured number is what it must be; a number that is none never is.
+    #[must_use]
+    pub fn holds(&self, measured: f64) -> bool {
+        match *self {
+            Self::Within { of, by } => (measured - of).abs() <= by,
+            Self::Between { low, high } => (low..=high).contains(&measured),
+            Self::AtLeast(least) => measured >= least,
+            Self::AtMost(most) => measured <= most,
+            Self::Reported => true,
+        }
+    }
+}
+
+impl std::fmt::Display for Required {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match *self {
+            Self::Within { of, by } => write!(formatter, "{} ± {}", number(of), number(by)),
+            Self::Between { low, high } => write!(formatter, "{} to {}", number(low), number(high)),
+            Self::AtLeast(least) => write!(formatter, "≥ {}", number(least)),
+            Self::AtMost(most) => write!(formatter, "≤ {}", number(most)),
+            Self::Reported => write!(formatter, "–"),
+        }
+    }
+}
+
+/// Writes a number with four significant digits, in powers of ten where it is very small or large.
+pub(crate) fn number(value: f64) -> String {
+    let magnitude = value.abs();
+    if value == 0.0 {
+        "0".to_owned()
+    } else if !value.is_finite() || !(1e-3..1e5).contains(&magnitude) {
+        format!("{value:.3e}")
+    } else {
+        let digits = (3 - magnitude.log10().floor() as i32).max(0) as usize;
+        let text = format!("{value:.digits$}");
+        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+    }
+}
+
+/// Over how many seeds a requirement holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Judgement {
+    /// Each seed has to hold it.
+    Each,
+    /// The mean over the seeds has to hold it.
+    Mean,
+    /// Two of three seeds have to hold it.
+    TwoThirds,
+}
+
+/// One measured number of one seed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Figure {
+    /// What it is, with its unit, such as `velocity error at floor 1 (m/s)`; unique in its case.
+    pub name: String,
+    /// What the source printed, where it printed a number.
+    pub published: Option<f64>,
+    /// What is required.
+    pub required: Required,
+    /// Over how many seeds.
+    pub judgement: Judgement,
+    /// What came out; no number where it could not be had.
+    pub measured: Option<f64>,
+}
+
+impl Figure {
+    /// Makes a figure that each seed has to hold; a measured NaN becomes a figure that could not be had.
+    #[must_use]
+    pub fn new(name: impl Into<String>, measured: f64, required: Required) -> Self {
+        let measured = measured.is_finite().then_some(measured);
+        Self { name: name.into(), published: None, required, judgement: Judgement::Each, measured }
+    }
+
+    /// Adds what the source printed.
+    #[must_use]
+    pub fn published(mut self, value: f64) -> Self {
+        self.published = Some(value);
+        self
+    }
+
+    /// Asks for the requirement in another way than of each seed.
+    #[must_use]
+    pub fn judged(mut self, judgement: Judgement) -> Self {
+        self.judgement = judgement;
+        self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn requirements_hold_at_their_ends_and_never_for_nan() {
+        assert!(Required::Within { of: 1.0, by: 0.5 }.holds(1.5));
+        assert!(!Required::relative(2.0, 0.05).holds(2.11));
+        assert!(Required::relative(-2.0, 0.05).holds(-2.09));
+        assert!(Required::Between { low: 0.0, high: 1.0 }.holds(0.0));
+        assert!(!Required::AtLeast(1.0).holds(0.999));
+        for required in [Required::AtLeast(0.0), Required::AtMost(0.0), Required::relative(1.0, 1.0)] {
+            assert!(!required.holds(f64::NAN), "{required}");
+        }
+    }
+
+    #[test]
+    fn numbers_are_written_with_four_digits() {
+        for (value, text) in [
+            (0.0, "0"),
+            (1.0, "1"),
+            (0.995, "0.995"),
+            (123.456, "123.5"),
+            (1200.0, "1200"),
+            (4.1e-6, "4.100e-6"),
+            (-0.0123456, "-0.01235"),
+        ] {
+            assert_eq!(number(value), text);
+        }
+    }
+}

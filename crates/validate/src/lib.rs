@@ -1,0 +1,32 @@
+//! Rebuilds the published examples from their description, and compares what comes out with the published figures.
+//!
+//! A [`Case`] is one example of a source: it simulates the record that the source describes from a seed, identifies it with
+//! the filters of `spandrel-filter`, and measures [`Figure`]s, each with what was published and what is required. A
+//! [`Plan`] runs cases for several seeds on several threads, keeps what is done so that a stopped run goes on where it
+//! was, and ends as a [`Report`].
+//!
+//! ```
+//! use spandrel_validate::{Length, Plan, Quiet, cases};
+//!
+//! let case = cases().iter().find(|case| case.name == "kalman.vehicle").expect("a case of chapter 2");
+//! let report = Plan::new(vec![case], vec![1], Length::Quick).run(&Quiet).expect("nothing is read or written");
+//! assert!(report.passed());
+//! ```
+
+mod cases;
+mod error;
+mod figure;
+mod outcome;
+mod plan;
+mod report;
+mod run;
+mod statistics;
+mod systems;
+
+pub use cases::{Case, cases, select};
+pub use error::ValidateError;
+pub use figure::{Figure, Judgement, Required};
+pub use outcome::{Outcome, Plot, Series, SeriesKind, Table};
+pub use plan::{Plan, Quiet, Watch};
+pub use report::{CaseReport, FigureReport, Report};
+pub use run::{Length, Run};

@@ -1,0 +1,220 @@
+//! Runs cases for several seeds on several threads, and keeps what is done.
+
+use crate::cases::Case;
+use crate::error::ValidateError;
+use crate::outcome::Outcome;
+use crate::report::{CaseReport, Report};
+use crate::run::{Length, Run};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+/// Hears how far the runs have come; called from several threads.
+pub trait Watch: Sync {
+    /// A run has done this share of its work (0 to 1).
+    fn advanced(&self, case: &Case, seed: u64, share: f64);
+    /// A run is over: its outcome, or why there is none; `kept` when it had been done before.
+    fn finished(&self, case: &Case, seed: u64, result: Result<&Outcome, &ValidateError>, kept: bool);
+}
+
+/// Hears nothing.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Quiet;
+
+impl Watch for Quiet {
+    fn advanced(&self, _: &Case, _: u64, _: f64) {}
+    fn finished(&self, _: &Case, _: u64, _: Result<&Outcome, &ValidateError>, _: bool) {}
+}
+
+/// Cases to be run.
+#[derive(Debug)]
+pub struct Plan {
+    cases: Vec<&'static Case>,
+    seeds: Vec<u64>,
+    length: Length,
+    threads: usize,
+    kept: Option<Kept>,
+    stopped: AtomicBool,
+}
+
+/// Where outcomes are kept, and under which mark of the program that made them.
+#[derive(Debug)]
+struct Kept {
+    directory: PathBuf,
+    mark: String,
+}
+
+type Result1 = Result<Outcome, ValidateError>;
+
+impl Plan {
+    /// Plans each case once for each seed, on one thread.
+    #[must_use]
+    pub fn new(cases: Vec<&'static Case>, seeds: Vec<u64>, length: Length) -> Self {
+        Self { cases, seeds, length, threads: 1, kept: None, stopped: AtomicBool::new(false) }
+    }
+
+    /// Runs so many cases at the same time.
+    #[must_use]
+    pub fn threads(mut self, threads: usize) -> Self {
+        self.threads = threads.max(1);
+        self
+    }
+
+    /// Keeps each outcome in a directory, and takes those that are there and bear the same mark: a stopped run goes on.
+    ///
+    /// The mark has to change with the program.
+    #[must_use]
+    pub fn keep(mut self, directory: &Path, mark: impl Into<String>) -> Self {
+        self.kept = Some(Kept { directory: directory.to_owned(), mark: mark.into() });
+        self
+    }
+
+    /// Asks all runs to stop soon; callable from another thread.
+    pub fn stop(&self) {
+        self.stopped.store(true, Ordering::Relaxed);
+    }
+
+    /// Runs everything; the order of the report is that of the cases, whatever the threads did.
+    ///
+    /// # Errors
+    /// When an outcome cannot be kept. A case that fails does not end the others: the report tells.
+    pub fn run(&self, watch: &dyn Watch) -> Result<Report, ValidateError> {
+        if let Some(kept) = &self.kept {
+            let path = &kept.directory;
+            std::fs::create_dir_all(path).map_err(|source| ValidateError::File { path: path.clone(), source })?;
+        }
+        let mut jobs: Vec<(usize, usize)> = Vec::new();
+        for seed in 0..self.seeds.len() {
+            jobs.extend((0..self.cases.len()).map(|case| (case, seed)));
+        }
+        // the longest first, so that no thread is left with a long one at the end
+        jobs.sort_by(|a, b| self.cases[b.0].weight.total_cmp(&self.cases[a.0].weight));
+        let next = AtomicUsize::new(0);
+        let results: Mutex<Vec<Vec<Option<Result1>>>> =
+            Mutex::new(self.cases.iter().map(|_| self.seeds.iter().map(|_| None).collect()).collect());
+        let trouble: Mutex<Option<ValidateError>> = Mutex::new(None);
+        std::thread::scope(|scope| {
+            for _ in 0..self.threads.min(jobs.len()) {
+                scope.spawn(|| {
+                    while let Some(&(case, seed)) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
+                        match self.one(self.cases[case], self.seeds[seed], watch) {
+                            Ok(result) => {
+                                lock(&results)[case][seed] = Some(result);
+                            }
+                            Err(error) => {
+                                self.stop();
+                                lock(&trouble).get_or_insert(error);
+                            }
+                        }
+                    }
+                });
+            }
+        });
+        if let Some(error) = lock(&trouble).take() {
+            return Err(error);
+        }
+        let results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let cases = self.cases.iter().zip(results).map(|(case, results)| {
+            let outcomes = results.into_iter().map(|result| result.unwrap_or(Err(ValidateError::Stopped)));
+            CaseReport::new(case, &self.seeds, outcomes.collect())
+        });
+        Ok(Report { length: self.length, seeds: self.seeds.clone(), cases: cases.collect() })
+    }
+
+    /// Runs one case for one seed, or takes what is kept.
+    fn one(&self, case: &'static Case, seed: u64, watch: &dyn Watch) -> Result<Result1, ValidateError> {
+        if let Some(outcome) = self.kept.as_ref().and_then(|kept| kept.read(case, seed, self.length)) {
+            watch.finished(case, seed, Ok(&outcome), true);
+            return Ok(Ok(outcome));
+        }
+        let advanced = |share: f64| watch.advanced(case, seed, share);
+        let result = if self.stopped.load(Ordering::Relaxed) {
+            Err(ValidateError::Stopped)
+        } else {
+            (case.run)(&Run { seed, length: self.length, advanced: &advanced, stopped: &self.stopped })
+        };
+        watch.finished(case, seed, result.as_ref(), false);
+        if let (Some(kept), Ok(outcome)) = (&self.kept, &result) {
+            kept.write(case, seed, self.length, outcome)?;
+        }
+        Ok(result)
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Kept {
+    fn path(&self, case: &Case, seed: u64, length: Length) -> PathBuf {
+        let length = match length {
+            Length::Full => "full",
+            Length::Quick => "quick",
+        };
+        self.directory.join(format!("{}.{length}.seed-{seed}.json", case.name))
+    }
+
+    fn read(&self, case: &Case, seed: u64, length: Length) -> Option<Outcome> {
+        let text = std::fs::read_to_string(self.path(case, seed, length)).ok()?;
+        // a file that was cut off, or that another program wrote, is as good as none: the case is run again
+        let (mark, outcome): (String, Outcome) = serde_json::from_str(&text).ok()?;
+        (mark == self.mark).then_some(outcome)
+    }
+
+    fn write(&self, case: &Case, seed: u64, length: Length, outcome: &Outcome) -> Result<(), ValidateError> {
+        let path = self.path(case, seed, length);
+        let text = serde_json::to_string(&(&self.mark, outcome)).map_err(std::io::Error::from);
+        let write = |text: String| {
+            let unfinished = path.with_extension("json.part");
+            std::fs::write(&unfinished, text)?;
+            std::fs::rename(&unfinished, &path)
+        };
+        text.and_then(write).map_err(|source| ValidateError::File { path: path.clone(), source })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::figure::{Figure, Required};
+
+    static RUNS: AtomicUsize = AtomicUsize::new(0);
+
+    fn seed_as_figure(run: &Run<'_>) -> Result1 {
+        RUNS.fetch_add(1, Ordering::Relaxed);
+        let figure = Figure::new("seed", run.seed as f64, Required::AtMost(2.0));
+        Ok(Outcome { figures: vec![figure], ..Outcome::default() })
+    }
+
+    fn without_result(_: &Run<'_>) -> Result1 {
+        Err(ValidateError::Stopped)
+    }
+
+    static COUNTED: Case =
+        Case { name: "test.counted", title: "seeds", source: "here", weight: 1.0, run: seed_as_figure };
+    static FAILED: Case =
+        Case { name: "test.failed", title: "nothing", source: "here", weight: 2.0, run: without_result };
+
+    #[test]
+    fn a_stopped_plan_goes_on_where_it_was() {
+        let directory = tempfile::tempdir().unwrap();
+        let plan = |mark: &str| Plan::new(vec![&COUNTED], vec![1, 2], Length::Quick).keep(directory.path(), mark);
+        let first = plan("a").run(&Quiet).unwrap();
+        let done = RUNS.load(Ordering::Relaxed);
+        assert_eq!(plan("a").run(&Quiet).unwrap(), first);
+        assert_eq!(RUNS.load(Ordering::Relaxed), done, "kept outcomes are not made again");
+        plan("b").run(&Quiet).unwrap();
+        assert_eq!(RUNS.load(Ordering::Relaxed), done + 2, "another program makes them again");
+        std::fs::write(directory.path().join("test.counted.quick.seed-1.json"), "[\"b\", {\"fig").unwrap();
+        assert_eq!(plan("b").run(&Quiet).unwrap(), first, "a file that was cut off is made again");
+    }
+
+    #[test]
+    fn a_case_without_result_fails_and_the_others_go_on() {
+        let report = Plan::new(vec![&FAILED, &COUNTED], vec![1, 2, 3], Length::Full).threads(2).run(&Quiet).unwrap();
+        assert!(!report.passed());
+        assert_eq!(report.cases[0].failures.len(), 3);
+        assert_eq!(report.cases[1].figures[0].measured, [Some(1.0), Some(2.0), Some(3.0)]);
+        assert!(!report.cases[1].figures[0].passed, "seed 3 misses what is required");
+    }
+}

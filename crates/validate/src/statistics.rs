@@ -1,0 +1,109 @@
+//! What the cases measure again and again.
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+
+/// Independent standard normal numbers.
+#[derive(Debug, Clone)]
+pub(crate) struct Normal(ChaCha8Rng);
+
+impl Normal {
+    /// Starts one of the streams of a seed: truth, noise and faults of a record do not share theirs.
+    pub(crate) fn stream(seed: u64, stream: u64) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        random.set_stream(stream);
+        Self(random)
+    }
+
+    pub(crate) fn draw(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.0)
+    }
+}
+
+/// Root mean square of a sequence.
+pub(crate) fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| (sum + value * value, count + 1.0));
+    (sum / count).sqrt()
+}
+
+/// How an estimate with a deviation compares with what is true.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Accuracy {
+    count: f64,
+    squared_error: f64,
+    absolute_error: f64,
+    largest_error: f64,
+    squared_truth: f64,
+    squared_ratio: f64,
+    inside: f64,
+    std: f64,
+}
+
+impl Accuracy {
+    /// Takes one instant; `std` is the stated deviation, and ± 3 of it the interval.
+    pub(crate) fn take(&mut self, estimate: f64, std: f64, truth: f64) {
+        let error = (estimate - truth).abs();
+        self.count += 1.0;
+        self.squared_error += error * error;
+        self.absolute_error += error;
+        self.largest_error = self.largest_error.max(error);
+        self.squared_truth += truth * truth;
+        self.squared_ratio += (error / std).powi(2);
+        self.inside += f64::from(u8::from(error <= 3.0 * std));
+        self.std += std;
+    }
+
+    /// Root mean square of the error.
+    pub(crate) fn rms_error(&self) -> f64 {
+        (self.squared_error / self.count).sqrt()
+    }
+
+    /// Root mean square of the error, beside that of the truth.
+    pub(crate) fn relative_error(&self) -> f64 {
+        (self.squared_error / self.squared_truth).sqrt()
+    }
+
+    /// Mean of the absolute error.
+    pub(crate) fn mean_absolute_error(&self) -> f64 {
+        self.absolute_error / self.count
+    }
+
+    /// Largest absolute error.
+    pub(crate) fn largest_error(&self) -> f64 {
+        self.largest_error
+    }
+
+    /// Root mean square of error over stated deviation: 1 when the intervals are right.
+    pub(crate) fn normalised_error(&self) -> f64 {
+        (self.squared_ratio / self.count).sqrt()
+    }
+
+    /// Share of the instants inside ± 3 stated deviations.
+    pub(crate) fn coverage(&self) -> f64 {
+        self.inside / self.count
+    }
+
+    /// Mean of the stated deviation.
+    pub(crate) fn mean_std(&self) -> f64 {
+        self.std / self.count
+    }
+}
+
+/// Mean of what is taken.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Mean {
+    sum: f64,
+    count: f64,
+}
+
+impl Mean {
+    pub(crate) fn take(&mut self, value: f64) {
+        self.sum += value;
+        self.count += 1.0;
+    }
+
+    pub(crate) fn value(&self) -> f64 {
+        self.sum / self.count
+    }
+}
