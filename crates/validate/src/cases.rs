@@ -4,8 +4,10 @@ use crate::error::ValidateError;
 use crate::outcome::Outcome;
 use crate::run::Run;
 
+mod ekf_oscillator;
 mod kalman_building;
 mod kalman_vehicle;
+mod noise_chain;
 
 /// One published example.
 #[derive(Debug)]
@@ -22,8 +24,9 @@ pub struct Case {
 }
 
 const BOOK_2: &str = "Huang & Yuen (2023), chapter 2";
+const BOOK_3: &str = "Huang & Yuen (2023), chapter 3";
 
-static CASES: [Case; 2] = [
+static CASES: [Case; 4] = [
     Case {
         name: "kalman.vehicle",
         title: "Tracking of a vehicle with the Kalman filter",
@@ -37,6 +40,20 @@ static CASES: [Case; 2] = [
         source: BOOK_2,
         weight: 25.0,
         run: kalman_building::run,
+    },
+    Case {
+        name: "ekf.oscillator",
+        title: "Oscillator with unknown frequency and damping ratio, poor start",
+        source: BOOK_2,
+        weight: 0.3,
+        run: ekf_oscillator::run,
+    },
+    Case {
+        name: "noise-ekf.chain",
+        title: "Five-mass chain with wrong, right and identified noise levels",
+        source: BOOK_3,
+        weight: 3.0,
+        run: noise_chain::run,
     },
 ];
 

@@ -1,3 +1,5 @@
 //! Systems of the examples that no structure file describes.
 
+pub(crate) mod chain;
 pub(crate) mod linear;
+pub(crate) mod oscillator;
