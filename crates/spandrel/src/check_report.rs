@@ -11,7 +11,7 @@
 //!   to. Both are `null`, and the next three empty, if no filter settles on this structure
 //! - `parameters`: `name`, `prior_mean`, `prior_std`, `std_after`, `std_steady` (in the long run, with fading memory),
 //!   `std_reported` (what the filter will report in the long run), `settling_s` (time in which an error falls to a third),
-//!   `verdict`, and `shifts`: shift of the estimate were a noise level stated 10 % too high, in the order of `noise_levels`
+//!   `dynamic_sensitivity` (by how much a change of 1 % moves the predicted data of one frame, in their deviations), `verdict`, and `shifts`: shift of the estimate were a noise level stated 10 % too high, in the order of `noise_levels`
 //! - `noise_levels`: `name`, `std` as the file states it in `unit`, whether `adapted`, `relative_std_after` (relative
 //!   deviation of the level after the data, were it adapted), `haste` (how many times faster than its half-life it moves)
 //! - `correlations`: of parameters, then noise levels, row by row, were no level known
@@ -60,6 +60,7 @@ struct ParameterLine {
     std_steady: f64,
     std_reported: f64,
     settling_s: f64,
+    dynamic_sensitivity: f64,
     shifts: Vec<f64>,
     verdict: String,
 }
@@ -124,6 +125,7 @@ impl CheckPage {
                 std_steady: report.std_steady,
                 std_reported: report.std_reported,
                 settling_s: report.settling_s,
+                dynamic_sensitivity: report.dynamic_sensitivity,
                 shifts: report.shifts,
             };
             page.parameters = parameters.map(line).collect();
@@ -286,18 +288,22 @@ impl CheckPage {
 
     fn write_sensitivities(&self, f: &mut fmt::Formatter<'_>, width: usize) -> fmt::Result {
         let shown = self.modes.len().min(SENSITIVITIES_SHOWN);
-        writeln!(f, "\nchange of the natural frequencies, in % for 1 % of each parameter\n")?;
+        writeln!(
+            f,
+            "\nsensitivity to a change of 1 %: static, of the natural frequencies (%); dynamic, of the data of one frame (in their\n\
+             standard deviations, rms)\n"
+        )?;
         write!(f, "  {:width$}", "parameter")?;
         for number in 1..=shown {
             write!(f, "  {:>8}", format!("mode {number}"))?;
         }
-        writeln!(f)?;
+        writeln!(f, "  {:>8}", "dynamic")?;
         for (index, line) in self.parameters.iter().enumerate() {
             write!(f, "  {:width$}", line.name)?;
             for mode in self.modes.iter().take(shown) {
                 write!(f, "  {:>8.3}", mode.sensitivity.get(index).copied().unwrap_or(0.0))?;
             }
-            writeln!(f)?;
+            writeln!(f, "  {:>8.3}", line.dynamic_sensitivity)?;
         }
         Ok(())
     }

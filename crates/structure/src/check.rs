@@ -2,7 +2,6 @@
 
 mod finding;
 mod identification;
-mod text;
 
 use crate::information::Information;
 use crate::modes::Modes;
@@ -87,6 +86,9 @@ pub struct ParameterReport {
     pub std_reported: f64,
     /// Time (s) in which the filter takes an error of this parameter to a third (1/e); the memory, if it uses all it counts.
     pub settling_s: f64,
+    /// By how much a change of 1 % moves the predicted data of one frame, in their standard deviations (rms over frames,
+    /// all channels together).
+    pub dynamic_sensitivity: f64,
     /// Shift of the estimate for each noise level, were it stated 10 % too high in standard deviation.
     pub shifts: Vec<f64>,
 }

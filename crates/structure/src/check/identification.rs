@@ -46,6 +46,7 @@ impl Structure {
             std_steady: steady[(index, index)].sqrt(),
             std_reported: reported[(index, index)].sqrt(),
             settling_s: settling_frames[index] * step_s,
+            dynamic_sensitivity: 0.01 * held[(index, index)].max(0.0).sqrt(),
             shifts: shifts(index),
         });
         let noise_levels = self.noise_levels.iter().zip(theta..).map(|(level, index)| NoiseLevelReport {

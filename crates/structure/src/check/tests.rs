@@ -173,13 +173,14 @@ fn the_same_seed_gives_the_same_report() {
 }
 
 #[test]
-fn the_page_names_every_parameter_and_every_finding() {
-    let report = parse(OUTPUT_ONLY).check(20.0, 1);
-    let page = report.to_string();
-    for name in ["structure output-only", "storey-1", "storey-5", "floors", "memory of the filter is 21.6 s"] {
-        assert!(page.contains(name), "{name} is not in\n{page}");
-    }
-    for finding in &report.findings {
-        assert!(page.contains(&finding.to_string()), "{finding}");
+fn dynamic_sensitivity_is_the_information_of_one_frame() {
+    // with the parameter alone unknown and no prior, its deviation after N frames is 0.01 / (sensitivity √N)
+    let text = DEMO.replace("std = 0.2", "std = 1000.0");
+    let report = parse(&text).check(20.0, 1).identification.unwrap();
+    for parameter in &report.parameters {
+        let alone = 0.01 / (parameter.dynamic_sensitivity * 2000.0_f64.sqrt());
+        // other unknowns can only add to it
+        assert!(alone <= parameter.std_after * 1.001, "{}: {alone} > {}", parameter.name, parameter.std_after);
+        assert!(alone > 0.3 * parameter.std_after, "{}: {alone}, {}", parameter.name, parameter.std_after);
     }
 }
