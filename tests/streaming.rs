@@ -30,6 +30,8 @@ async fn assert_runs_give_the_numbers_of_estimate(route: &str, site: &Site, reco
         let lost = drops.when_done(service, 1).await.drops.get("lost-items").copied();
         assert_eq!(lost, None, "{route}: frames lost on the way to {}", service.as_str());
     }
+    // Dropped, a session would block this thread while it closes, and with it whatever else runs in this task.
+    bus.close().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]

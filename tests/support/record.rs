@@ -53,6 +53,16 @@ impl Record {
         self
     }
 
+    /// Changes the values of a channel; the row number is from the start of the record.
+    pub fn change(&mut self, channel: &str, rows: Range<usize>, change: impl Fn(usize, f64) -> f64) -> &mut Self {
+        let column = self.column(channel);
+        for row in rows {
+            let value: f64 = self.rows[row][column].parse().unwrap();
+            self.rows[row][column] = change(row, value).to_string();
+        }
+        self
+    }
+
     /// Takes whole rows out.
     pub fn cut(&mut self, rows: Range<usize>) -> &mut Self {
         self.rows.drain(rows);

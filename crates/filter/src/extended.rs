@@ -9,6 +9,7 @@ use crate::error::FilterError;
 use crate::fading::{FadingFactor, bound_variances_mut};
 use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::{NoiseEvents, NoiseModel, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget, Objective};
+use crate::outlier::{OutlierSettings, OutlierState};
 use crate::update::{self, CovarianceForm, ExcitationPosterior};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -50,6 +51,8 @@ pub struct FilterSettings {
     pub noise: NoiseModel,
     /// How the noise parameters are identified.
     pub noise_settings: NoiseSettings,
+    /// How outliers are screened, if they are.
+    pub outliers: Option<OutlierSettings>,
     /// Start-up aid, if any.
     pub annealing: Option<Annealing>,
     /// How a known excitation runs between frames.
@@ -73,6 +76,7 @@ impl FilterSettings {
             upper: DVector::repeat(n, f64::INFINITY),
             noise,
             noise_settings: NoiseSettings::default(),
+            outliers: None,
             annealing: None,
             input_hold: InputHold::Zero,
             covariance_form: CovarianceForm::Symmetric,
@@ -103,6 +107,9 @@ impl FilterSettings {
             }
         }
         FadingFactor::new(self.noise_settings.fading)?;
+        if let Some(outliers) = &self.outliers {
+            outliers.check()?;
+        }
         self.noise.check(model.excitation_len(), model.observation_len())
     }
 }
@@ -125,6 +132,8 @@ pub struct Step {
     pub log_evidence: f64,
     /// Channels that took part; 0 makes the step a prediction.
     pub used_channels: usize,
+    /// Channels whose sample was there and was rejected, as an outlier or of a faulty sensor.
+    pub rejected_channels: usize,
     /// Entries of the state that had to be brought back to their limits.
     pub limited_states: usize,
     /// Variances that had reached their bound.
@@ -145,6 +154,7 @@ pub struct FilterState {
     mean: DVector<f64>,
     covariance: DMatrix<f64>,
     noise: NoiseState,
+    outliers: Option<OutlierState>,
     steps: u64,
     /// the coming frame finds the prior of the motion: it is not predicted
     fresh: bool,
@@ -201,6 +211,10 @@ struct Workspace {
     newer: DVector<f64>,
     /// B_y ḟ (n)
     ramp: DVector<f64>,
+    /// diagonal of S with the noise levels before this step moves them (N_0)
+    variances: DVector<f64>,
+    /// residuals in order
+    sorted: Vec<f64>,
 }
 
 impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
@@ -230,6 +244,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             older: DVector::zeros(inputs),
             newer: DVector::zeros(inputs),
             ramp: DVector::zeros(n),
+            variances: DVector::zeros(channels),
+            sorted: Vec::with_capacity(settings.outliers.map_or(0, |outliers| outliers.recent_len())),
         };
         let state = FilterState::start(&model, &settings);
         Ok(Self { model, settings, state, work })
@@ -259,6 +275,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             posterior.clear();
         }
         *fresh = true;
+        if let Some(outliers) = &mut self.state.outliers {
+            outliers.retrain();
+        }
     }
 
     /// Takes one frame.
@@ -270,7 +289,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         self.check_frame(frame)?;
         self.take_excitation(frame);
         self.predict();
-        let noise_events = self.predict_observation(frame);
+        let (noise_events, rejected_channels) = self.predict_observation(frame);
         let used = update::leave_out_missing(&mut self.work.update, &mut self.work.h_p);
         let evidence = update::factorise(&mut self.work.update, used)?;
         if !evidence.log_evidence.is_finite() {
@@ -292,6 +311,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             normalised_innovation_squared: evidence.normalised_innovation_squared,
             log_evidence: evidence.log_evidence,
             used_channels: used,
+            rejected_channels,
             limited_states,
             bounded_variances,
             noise_phase: self.state.noise.phase,
@@ -326,7 +346,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         &self.state.noise
     }
 
-    /// Returns the innovation of the last step (N_0), NaN where a channel was missing.
+    /// Returns what is known of outliers in each channel; `None` where they are not screened.
+    pub fn outliers(&self) -> Option<&OutlierState> {
+        self.state.outliers.as_ref()
+    }
+
+    /// Returns the innovation of the last step (N_0), NaN where a channel was missing or rejected.
     pub fn innovation(&self) -> &DVector<f64> {
         &self.work.update.innovation
     }
@@ -356,6 +381,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             ("mean of a checkpoint", state.mean.len(), n),
             ("covariance of a checkpoint", state.covariance.len(), n * n),
             ("excitation of a checkpoint", state.last_excitation.len(), self.model.excitation_len()),
+            ("screened channels of a checkpoint", screened(&state), screened(&self.state)),
             ("noise parameters of a checkpoint", state.noise.mean.len(), self.settings.noise.parameters.len()),
         ];
         for (what, found, expected) in sizes {
@@ -463,8 +489,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         symmetrise_mut(&mut work.covariance);
     }
 
-    /// Writes innovation, `S`, `H P` and `P`, and moves the noise parameters in between.
-    fn predict_observation(&mut self, frame: Frame<'_>) -> NoiseEvents {
+    /// Writes innovation, `S`, `H P` and `P`; screens outliers and moves the noise parameters in between.
+    fn predict_observation(&mut self, frame: Frame<'_>) -> (NoiseEvents, usize) {
         let Self { model, work, .. } = self;
         model.linearise_observation(work.mean.as_slice(), work.newer.as_slice());
         model.observe(work.update.innovation.as_mut_slice());
@@ -477,10 +503,55 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         symmetrise_mut(&mut work.update.innovation_covariance);
         model.observation_jacobian_mul(&work.input_matrix, &mut work.h_b);
 
+        let rejected = self.screen_outliers(frame);
         let events = self.update_noise(frame);
         self.write_noise_covariances(frame);
         self.add_noises();
-        events
+        (events, rejected)
+    }
+
+    /// Rejects outliers, by the noise levels as they were before this step; returns how many there are.
+    fn screen_outliers(&mut self, frame: Frame<'_>) -> usize {
+        if self.settings.outliers.is_none() {
+            return 0;
+        }
+        self.write_noise_covariances(frame);
+        let annealing = self.annealing();
+        let Self { model, settings, state, work } = self;
+        let (Some(outlier_settings), Some(outliers)) = (&settings.outliers, &mut state.outliers) else {
+            return 0;
+        };
+        let felt = state.posterior.is_some() && !state.fresh;
+        for channel in 0..work.variances.len() {
+            let of_row = |row: &DMatrix<f64>, covariance: &DMatrix<f64>| {
+                let mut sum = 0.0;
+                for b in 0..covariance.ncols() {
+                    for a in 0..covariance.nrows() {
+                        sum += row[(channel, a)] * covariance[(a, b)] * row[(channel, b)];
+                    }
+                }
+                sum
+            };
+            let mut variance = work.update.innovation_covariance[(channel, channel)];
+            variance += annealing * work.sensors[(channel, channel)];
+            if !felt {
+                variance += settings.fading.value() * of_row(&work.h_b, &work.step_excitation);
+            }
+            if let Some(direct) = model.feedthrough() {
+                variance += of_row(direct, &work.frame_excitation);
+            }
+            work.variances[channel] = variance;
+        }
+        let residuals = work.update.innovation.as_mut_slice();
+        outliers.screen(outlier_settings, residuals, work.variances.as_slice(), &mut work.sorted)
+    }
+
+    /// Returns the factor by which the start-up aid raises the noise of the sensors at this step.
+    fn annealing(&self) -> f64 {
+        self.settings.annealing.map_or(1.0, |Annealing { amount, time_constant_s }| {
+            let elapsed_s = self.state.steps as f64 * self.settings.step_s;
+            1.0 + amount * (-elapsed_s / time_constant_s).exp()
+        })
     }
 
     /// Moves the noise parameters by what this frame says of them.
@@ -519,6 +590,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Adds the noises to `P`, `H P` and `S`.
     fn add_noises(&mut self) {
+        let annealing = self.annealing();
         let Self { model, settings, state, work } = self;
         let lambda = settings.fading.value();
         let felt = state.posterior.is_some() && !state.fresh;
@@ -541,9 +613,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         if let Some(direct) = model.feedthrough() {
             add_quadratic_form_mut(innovation_covariance, direct, &work.frame_excitation, 1.0);
         }
-        if let Some(Annealing { amount, time_constant_s }) = settings.annealing {
-            let elapsed_s = state.steps as f64 * settings.step_s;
-            work.sensors *= 1.0 + amount * (-elapsed_s / time_constant_s).exp();
+        if annealing != 1.0 {
+            work.sensors *= annealing;
         }
         *innovation_covariance += &work.sensors;
     }
@@ -611,6 +682,11 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     }
 }
 
+/// Number of channels whose outliers are screened.
+fn screened(state: &FilterState) -> usize {
+    state.outliers.as_ref().map_or(0, |outliers| outliers.channels().len())
+}
+
 impl FilterState {
     fn start(model: &(impl ProcessModel + ObservationModel), settings: &FilterSettings) -> Self {
         let (n, inputs) = (model.state_len(), model.excitation_len());
@@ -618,6 +694,7 @@ impl FilterState {
             mean: settings.prior_mean.clone(),
             covariance: DMatrix::from_diagonal(&settings.prior_std.map(|std| std * std)),
             noise: NoiseState::start(&settings.noise, &settings.noise_settings),
+            outliers: settings.outliers.map(|outliers| OutlierState::new(&outliers, model.observation_len())),
             steps: 0,
             fresh: true,
             last_excitation: DVector::zeros(inputs),

@@ -8,6 +8,7 @@
 //! - [`model`]: the two traits
 //! - [`fading`]: how old data are forgotten
 //! - [`noise`]: the noise levels and how they are identified
+//! - [`outlier`]: which samples are too far off to be used
 //! - [`discretise`]: one time step without inverting the Jacobian
 //! - [`update`]: the forms of the measurement update
 //! - [`extended`]: the adaptive extended Kalman filter, the chain of these stages
@@ -26,6 +27,7 @@ pub mod extended;
 pub mod fading;
 pub mod kalman;
 pub mod noise;
+pub mod outlier;
 pub mod update;
 
 pub use band_limit::BandLimit;
@@ -36,4 +38,5 @@ pub use fading::FadingFactor;
 pub use kalman::{KalmanFilter, LinearModel};
 pub use model::{ObservationModel, ProcessModel};
 pub use noise::{NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget};
+pub use outlier::{ChannelScreen, OutlierChange, OutlierSettings, OutlierState, OutlierTraining, Verdict};
 pub use update::CovarianceForm;

@@ -7,7 +7,7 @@ mod systems;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
     Annealing, BandLimit, CovarianceForm, ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, InputHold,
-    NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseTarget,
+    NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseTarget, OutlierSettings,
 };
 use systems::{Chain, Normal};
 
@@ -37,6 +37,7 @@ fn filter(rule: NoiseRule, form: CovarianceForm) -> ExtendedKalmanFilter<Chain> 
     settings.annealing = Some(Annealing { amount: 10.0, time_constant_s: 0.1 });
     settings.input_hold = InputHold::First;
     settings.covariance_form = form;
+    settings.outliers = Some(OutlierSettings::for_period(30.0));
     settings.variance_bound = DVector::repeat(n, 1.0);
     settings.noise_settings =
         NoiseSettings { rule, training_steps: 200, training_limit_steps: 400, ..NoiseSettings::default() };

@@ -2,11 +2,12 @@
 
 use crate::display::{Decimation, ParameterView, noise_display};
 use crate::error::IdentifyError;
+use crate::screening::ScreeningView;
 use spandrel_bus::{
-    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FrameBlock, Header, Name, NoiseDisplay, ParameterDisplay,
-    Phase, StreamState, TimeGrid,
+    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FrameBlock, Header, Name, NoiseDisplay, OutlierDisplay,
+    ParameterDisplay, Phase, StreamState, TimeGrid,
 };
-use spandrel_filter::{BandLimit, ExtendedKalmanFilter, FilterError, Frame, NoisePhase, Step};
+use spandrel_filter::{BandLimit, ExtendedKalmanFilter, FilterError, Frame, NoisePhase, OutlierChange, Step};
 use spandrel_structure::{Structure, StructureModel};
 
 /// A gap up to this long (s) is bridged by predictions; over a longer one the motion is forgotten and the parameters stay.
@@ -38,6 +39,8 @@ pub enum Output {
     Parameter(ParameterDisplay),
     /// A noise level at display rate.
     Noise(NoiseDisplay),
+    /// The screening of a channel at display rate, and when it changes.
+    Outliers(OutlierDisplay),
     /// Something rare.
     Event(Event),
 }
@@ -53,6 +56,8 @@ pub struct Identification {
     excitation_channels: Vec<Option<usize>>,
     parameter_views: Vec<ParameterView>,
     noise_names: Vec<Name>,
+    /// one for each observation row; empty where outliers are not screened
+    screening: Vec<ScreeningView>,
     decimation: Decimation,
     stream: Option<Stream>,
     /// scratch: one frame as it came, then as the filter sees it
@@ -102,7 +107,20 @@ impl Identification {
             .iter()
             .map(|parameter| named(&parameter.name))
             .collect::<Result<_, _>>()?;
+        let screening = match filter.outliers() {
+            Some(_) => {
+                let names: Vec<&str> =
+                    structure.nodes().iter().flat_map(|node| node.channels()).map(|c| c.name()).collect();
+                let views = structure
+                    .observation_channels()
+                    .iter()
+                    .map(|channel| Ok(ScreeningView::new(named(names[*channel])?)));
+                views.collect::<Result<_, IdentifyError>>()?
+            }
+            None => Vec::new(),
+        };
         Ok(Self {
+            screening,
             structure: named(structure.name())?,
             source: source.into(),
             observation_channels: structure.observation_channels().to_vec(),
@@ -149,6 +167,11 @@ impl Identification {
     /// Returns the names of the parameters, in the order of the estimates.
     pub fn parameter_names(&self) -> impl Iterator<Item = &Name> {
         self.parameter_views.iter().map(ParameterView::name)
+    }
+
+    /// Returns the names of the channels whose outliers are screened; none where they are not.
+    pub fn screened_channels(&self) -> impl Iterator<Item = &Name> {
+        self.screening.iter().map(ScreeningView::channel)
     }
 
     /// Returns the names of the identified noise levels, in the order of the estimates.
@@ -222,6 +245,7 @@ impl Identification {
         }
         if let Ok(step) = &result {
             self.tell_noise_events(time_ns, step, outputs);
+            self.tell_outliers(time_ns, outputs);
         }
         estimates.push(self.estimate(result.ok(), restarted));
         if let Some(stream) = &mut self.stream {
@@ -306,6 +330,32 @@ impl Identification {
         }
     }
 
+    /// Tells what changed for a channel, as an event and on its topic.
+    fn tell_outliers(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
+        let Some(outliers) = self.filter.outliers() else { return };
+        for (view, screen) in self.screening.iter_mut().zip(outliers.channels()) {
+            let Some((change, why)) = view.take(time_ns, screen) else { continue };
+            let (kind, what) = match change {
+                OutlierChange::FaultBegan => {
+                    (EventKind::ChannelExcluded, "the sensor is faulty: its samples are not used")
+                }
+                OutlierChange::FaultEnded => (EventKind::ChannelBack, "the sensor is used again"),
+                OutlierChange::Rescaled | OutlierChange::Trained => {
+                    (EventKind::Calibration, "the scale of its residuals was estimated anew")
+                }
+            };
+            outputs.push(Output::Event(Event {
+                structure: self.structure.clone(),
+                time_ns,
+                kind,
+                subject: view.channel().to_string(),
+                what: what.to_owned(),
+                why,
+            }));
+            outputs.push(Output::Outliers(view.display(&self.structure, time_ns, screen)));
+        }
+    }
+
     fn most_uncertain_level(&self) -> &str {
         let noise = self.filter.noise();
         let relative = |l: usize| noise.covariance[(l, l)] / (noise.mean[l] * noise.mean[l]);
@@ -363,7 +413,7 @@ impl Identification {
         }));
     }
 
-    fn display(&self, time_ns: i64, outputs: &mut Vec<Output>) {
+    fn display(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
         let first = self.filter.mean().len() - self.parameter_views.len();
         for (index, view) in self.parameter_views.iter().enumerate() {
             let j = first + index;
@@ -374,6 +424,11 @@ impl Identification {
         for (l, name) in self.noise_names.iter().enumerate() {
             let (mean, variance) = (noise.mean[l], noise.covariance[(l, l)]);
             outputs.push(Output::Noise(noise_display(&self.structure, name, time_ns, mean, variance)));
+        }
+        if let Some(outliers) = self.filter.outliers() {
+            for (view, screen) in self.screening.iter_mut().zip(outliers.channels()) {
+                outputs.push(Output::Outliers(view.display(&self.structure, time_ns, screen)));
+            }
         }
     }
 

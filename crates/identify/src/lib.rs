@@ -13,6 +13,7 @@ mod display;
 mod error;
 pub mod identification;
 pub mod pool;
+mod screening;
 pub mod shell;
 
 pub use error::IdentifyError;

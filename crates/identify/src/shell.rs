@@ -5,8 +5,8 @@ use crate::identification::{Identification, Input, Output};
 use crate::pool::FilterPool;
 use spandrel_bus::{
     Bus, Delivery, Description, DisplayPublisher, EstimateBlock, Event, EventKind, FrameBlock, Keys, LatestPublisher,
-    LiveToken, Name, NoiseDisplay, NumberedPublisher, NumberedStream, ParameterDisplay, ProgressPublisher, Service,
-    Start, Status, Stream, StreamSettings, StreamState,
+    LiveToken, Name, NoiseDisplay, NumberedPublisher, NumberedStream, OutlierDisplay, ParameterDisplay,
+    ProgressPublisher, Service, Start, Status, Stream, StreamSettings, StreamState,
 };
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
@@ -32,6 +32,7 @@ pub struct IdentifyService {
     estimates: NumberedPublisher<EstimateBlock>,
     parameters: BTreeMap<Name, DisplayPublisher<ParameterDisplay>>,
     noise: BTreeMap<Name, DisplayPublisher<NoiseDisplay>>,
+    outliers: BTreeMap<Name, DisplayPublisher<OutlierDisplay>>,
     events: DisplayPublisher<Event>,
     _description: LatestPublisher<Description>,
     progress: ProgressPublisher,
@@ -74,6 +75,10 @@ impl IdentifyService {
         for name in core.noise_names() {
             noise.insert(name.clone(), bus.publish_display(keys.noise(name)).await?);
         }
+        let mut outliers = BTreeMap::new();
+        for name in core.screened_channels() {
+            outliers.insert(name.clone(), bus.publish_display(keys.outlier(name)).await?);
+        }
         let description = bus.publish_latest(keys.description()).await?;
         description
             .put(&Description { structure: keys.structure().clone(), text: structure.text().to_owned() })
@@ -93,6 +98,7 @@ impl IdentifyService {
             estimates,
             parameters,
             noise,
+            outliers,
             events: bus.publish_display(keys.event()).await?,
             _description: description,
             progress: bus.publish_progress(keys.progress(Service::Identify), id.to_string()).await?,
@@ -191,6 +197,11 @@ impl IdentifyService {
             }
             Output::Noise(display) => {
                 if let Some(publisher) = self.noise.get(&display.name) {
+                    publisher.put(&display).await?;
+                }
+            }
+            Output::Outliers(display) => {
+                if let Some(publisher) = self.outliers.get(&display.channel) {
                     publisher.put(&display).await?;
                 }
             }

@@ -10,6 +10,7 @@ mod filter;
 mod matrices;
 mod model;
 mod node;
+mod outliers;
 mod parameter;
 mod record;
 mod simulation;
@@ -83,7 +84,8 @@ impl<'t> StructureFile<'t> {
         let excitations =
             excitation::read_excitations(&mut file, &excitation::Context { rate_hz: head.rate_hz, system, channels });
         let (declared, parameters) = parameter::read_parameters(&mut file, system, damping.as_ref());
-        let plan = filter::read_filter(file.table("filter"));
+        let mut plan = filter::read_filter(file.table("filter"));
+        plan.outliers = outliers::read_outliers(file.table("outliers"));
         let mut noise_levels = read_noise_levels(&file, &nodes.channels, &excitations);
         for level in &mut noise_levels {
             level.adapted &= plan.noise_rule != NoiseRule::Fixed;

@@ -16,6 +16,8 @@ pub(crate) struct FilterPlan {
     /// No noise level falls below this share of its start (standard deviations).
     pub(crate) noise_floor: f64,
     pub(crate) annealing: Annealing,
+    /// How outliers are screened, if they are.
+    pub(crate) outliers: Option<OutlierPlan>,
     /// A parameter's variance is kept below this times its prior variance.
     pub(crate) variance_bound: f64,
     pub(crate) input_hold: InputHold,
@@ -23,6 +25,24 @@ pub(crate) struct FilterPlan {
     pub(crate) displacement_std_m: f64,
     /// Standard deviation of each velocity at the start (m/s).
     pub(crate) velocity_std_m_per_s: f64,
+}
+
+/// The `[outliers]` table; times are counted in fundamental periods where the file says nothing.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct OutlierPlan {
+    /// Large residuals stay out while the first scale is found.
+    pub(crate) gated: bool,
+    pub(crate) training_s: Option<f64>,
+    pub(crate) window_s: Option<f64>,
+    pub(crate) fault_window_s: Option<f64>,
+    /// Share of rejected samples from which on a channel is looked into.
+    pub(crate) fault_share: f64,
+}
+
+impl Default for OutlierPlan {
+    fn default() -> Self {
+        Self { gated: true, training_s: None, window_s: None, fault_window_s: None, fault_share: 0.2 }
+    }
 }
 
 /// Distrust of the sensors at the start: `Σ_n (1 + a e^{−t/τ})`.
@@ -46,6 +66,7 @@ impl Default for FilterPlan {
             noise_floor: 0.1,
             // start-up: spec of chapter 2, §3.6; tolerates parameters that are 30 % off
             annealing: Annealing { amount: 100.0, time_s: 2.0 },
+            outliers: None,
             variance_bound: 1.0,
             input_hold: InputHold::Zero,
             // at rest: wide priors make the first updates leave the linear range of the filter

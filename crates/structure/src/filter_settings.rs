@@ -1,10 +1,13 @@
 //! Turns the wishes of the structure file into the settings of the filter.
 
+use crate::filter_plan::OutlierPlan;
 use crate::noise_level::NoiseSource;
 use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
+use spandrel_filter::outlier::upper_bound;
 use spandrel_filter::{
     Annealing, FadingFactor, FilterError, FilterSettings, NoiseModel, NoiseParameter, NoiseSettings, NoiseTarget,
+    OutlierSettings, OutlierTraining,
 };
 use std::f64::consts::PI;
 
@@ -48,7 +51,29 @@ impl Structure {
         settings.annealing = (plan.annealing.amount > 0.0)
             .then_some(Annealing { amount: plan.annealing.amount, time_constant_s: plan.annealing.time_s });
         settings.input_hold = plan.input_hold;
+        settings.outliers = plan.outliers.map(|outliers| self.outlier_settings(&outliers));
         Ok(settings)
+    }
+
+    /// Turns seconds into samples; what the file leaves open follows from the fundamental period as designed.
+    fn outlier_settings(&self, plan: &OutlierPlan) -> OutlierSettings {
+        let steps = |seconds: f64| (seconds * self.sampling_rate_hz).round().max(3.0) as usize;
+        let mut settings = OutlierSettings::for_period(self.training_steps() as f64 / TRAINING_PERIODS);
+        if !plan.gated {
+            settings.training = OutlierTraining::Raw;
+        }
+        if let Some(training_s) = plan.training_s {
+            settings.training_steps = steps(training_s);
+        }
+        if let Some(window_s) = plan.window_s {
+            settings.window = steps(window_s);
+            settings.upper = upper_bound(settings.window);
+        }
+        if let Some(fault_window_s) = plan.fault_window_s {
+            settings.fault_window = steps(fault_window_s);
+        }
+        settings.fault_share = plan.fault_share;
+        settings
     }
 
     /// Returns `INT(10 T/Δt)`, (3.31), with the fundamental period `T` as designed.

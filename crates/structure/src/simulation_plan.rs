@@ -58,6 +58,17 @@ pub(crate) struct Spikes {
     pub(crate) share: f64,
     /// Height in standard deviations of the channel's noise.
     pub(crate) height: f64,
+    /// What a spike does to the sample.
+    pub(crate) kind: SpikeKind,
+}
+
+/// What a spike does to a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum SpikeKind {
+    /// It adds its height, with either sign.
+    Added,
+    /// It takes the place of the sample, anywhere up to its height on either side of zero.
+    Replaced,
 }
 
 impl SimulationPlan {
@@ -71,7 +82,7 @@ impl SimulationPlan {
             modulation: None,
             damage: Vec::new(),
             dropped_share: 0.0,
-            spikes: Spikes { share: 0.0, height: Self::SPIKE_HEIGHT },
+            spikes: Spikes { share: 0.0, height: Self::SPIKE_HEIGHT, kind: SpikeKind::Added },
             clock_offsets_s: vec![0.0; nodes],
         }
     }

@@ -5,7 +5,7 @@
 
 use crate::linear_form::{LinearForm, Recursion};
 use crate::model::StructureModel;
-use crate::simulation_plan::SimulationPlan;
+use crate::simulation_plan::{SimulationPlan, SpikeKind, Spikes};
 use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
 use rand::RngExt;
@@ -171,10 +171,14 @@ impl Simulator {
             };
             let normal: f64 = self.noise_random.sample(StandardNormal);
             let [dropped, spiked, side]: [f64; 3] = self.fault_random.random();
-            let height = if side < 0.5 { self.plan.spikes.height } else { -self.plan.spikes.height };
-            let spike = if spiked < self.plan.spikes.share { height } else { 0.0 };
+            let Spikes { share, height, kind } = self.plan.spikes;
+            let sample = match kind {
+                _ if spiked >= share => truth + channel.noise_std * normal,
+                SpikeKind::Added => truth + channel.noise_std * (normal + if side < 0.5 { height } else { -height }),
+                SpikeKind::Replaced => channel.noise_std * height * (2.0 * side - 1.0),
+            };
             let missing = dropped < self.plan.dropped_share || !self.index.is_multiple_of(channel.every);
-            values.push(if missing { f64::NAN } else { truth + channel.noise_std * (normal + spike) });
+            values.push(if missing { f64::NAN } else { sample });
         }
         values
     }

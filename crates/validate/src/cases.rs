@@ -8,6 +8,7 @@ mod ekf_oscillator;
 mod kalman_building;
 mod kalman_vehicle;
 mod noise_chain;
+mod outlier_oscillator;
 
 /// One published example.
 #[derive(Debug)]
@@ -25,8 +26,9 @@ pub struct Case {
 
 const BOOK_2: &str = "Huang & Yuen (2023), chapter 2";
 const BOOK_3: &str = "Huang & Yuen (2023), chapter 3";
+const BOOK_4: &str = "Huang & Yuen (2023), chapter 4";
 
-static CASES: [Case; 4] = [
+static CASES: [Case; 5] = [
     Case {
         name: "kalman.vehicle",
         title: "Tracking of a vehicle with the Kalman filter",
@@ -54,6 +56,13 @@ static CASES: [Case; 4] = [
         source: BOOK_3,
         weight: 3.0,
         run: noise_chain::run,
+    },
+    Case {
+        name: "outlier.oscillator",
+        title: "Oscillator with one wrong sample in a hundred",
+        source: BOOK_4,
+        weight: 20.0,
+        run: outlier_oscillator::run,
     },
 ];
 

@@ -107,3 +107,30 @@ impl Mean {
         self.sum / self.count
     }
 }
+
+/// Independent numbers, uniform between 0 and 1.
+#[derive(Debug, Clone)]
+pub(crate) struct Uniform(ChaCha8Rng);
+
+impl Uniform {
+    /// Starts one of the streams of a seed.
+    pub(crate) fn stream(seed: u64, stream: u64) -> Self {
+        Self(Normal::stream(seed, stream).0)
+    }
+
+    pub(crate) fn between(&mut self, low: f64, high: f64) -> f64 {
+        let unit: f64 = rand_distr::StandardUniform.sample(&mut self.0);
+        low + (high - low) * unit
+    }
+
+    /// Draws `count` different numbers below `len`.
+    pub(crate) fn positions(&mut self, count: usize, len: usize) -> Vec<usize> {
+        let mut all: Vec<usize> = (0..len).collect();
+        for i in 0..count.min(len) {
+            let j = i + self.between(0.0, (len - i) as f64) as usize;
+            all.swap(i, j.min(len - 1));
+        }
+        all.truncate(count.min(len));
+        all
+    }
+}

@@ -264,6 +264,7 @@ proptest! {
         total::<CaughtUp>(&bytes)?;
         total::<ParameterDisplay>(&bytes)?;
         total::<NoiseDisplay>(&bytes)?;
+        total::<OutlierDisplay>(&bytes)?;
         total::<Event>(&bytes)?;
         total::<AlertMessage>(&bytes)?;
         total::<Acknowledgement>(&bytes)?;

@@ -1,5 +1,6 @@
 use super::*;
 use crate::kalman::{KalmanFilter, LinearModel};
+use crate::outlier::{OutlierTraining, Verdict};
 
 /// A linear system without parameters, sparse enough to be checked by hand: two coupled oscillators, both sensed.
 #[derive(Debug, Clone)]
@@ -344,5 +345,63 @@ proptest::proptest! {
         let scale = 1.0 + first.mean().amax();
         proptest::prop_assert!((first.mean() - second.mean()).amax() < 1e-9 * scale);
         proptest::prop_assert!((first.covariance() - second.covariance()).amax() < 1e-9);
+    }
+}
+
+fn screened(upper: f64) -> FilterSettings {
+    let mut settings = settings();
+    settings.fading = FadingFactor::from_half_life(500.0).unwrap();
+    settings.outliers = Some(OutlierSettings {
+        lower: if upper.is_finite() { 2.0 } else { upper },
+        upper,
+        training: if upper.is_finite() { OutlierTraining::Gated(4.0) } else { OutlierTraining::Raw },
+        ..OutlierSettings::for_period(20.0)
+    });
+    settings
+}
+
+#[test]
+fn screening_that_rejects_nothing_leaves_every_bit() {
+    let plain = FilterSettings { outliers: None, ..screened(f64::INFINITY) };
+    let mut with = ExtendedKalmanFilter::new(two_oscillators(), screened(f64::INFINITY)).unwrap();
+    let mut without = ExtendedKalmanFilter::new(two_oscillators(), plain).unwrap();
+    run(&mut with, 0..600);
+    run(&mut without, 0..600);
+    assert_eq!(with.mean(), without.mean());
+    assert_eq!(with.covariance(), without.covariance());
+    assert!(with.outliers().unwrap().channels().iter().all(|channel| channel.trained() && channel.rejected() == 0));
+}
+
+#[test]
+fn spike_is_rejected_and_all_spikes_make_a_prediction() {
+    let mut filter = ExtendedKalmanFilter::new(two_oscillators(), screened(3.5)).unwrap();
+    run(&mut filter, 0..600);
+    let mut spiked = filter.clone();
+    let data = datum(600);
+    let step = spiked.step(Frame { observations: &[data[0] + 10.0, data[1]], excitation: &[0.0] }).unwrap();
+    assert_eq!((step.used_channels, step.rejected_channels), (1, 1));
+    let mut missing = filter.clone();
+    missing.step(Frame { observations: &[f64::NAN, data[1]], excitation: &[0.0] }).unwrap();
+    assert_eq!(spiked.mean(), missing.mean(), "a rejected sample is a missing one");
+    assert_eq!(spiked.covariance(), missing.covariance());
+    let channels = spiked.outliers().unwrap().channels();
+    assert_eq!([0, 1].map(|c| channels[c].verdict()), [Verdict::Outlier, Verdict::Regular]);
+    assert!((channels[0].residual() - 10.0).abs() < 1.0 && spiked.innovation()[0].is_nan());
+
+    let step = filter.step(Frame { observations: &[10.0, -10.0], excitation: &[0.0] }).unwrap();
+    assert_eq!((step.used_channels, step.rejected_channels), (0, 2));
+}
+
+#[test]
+fn screened_filter_resumes_to_the_bit() {
+    for stop in [1, 150, 199, 200, 201, 450] {
+        let mut unbroken = ExtendedKalmanFilter::new(two_oscillators(), screened(3.5)).unwrap();
+        run(&mut unbroken, 0..stop);
+        let bytes = postcard::to_stdvec(unbroken.state()).unwrap();
+        let mut resumed = ExtendedKalmanFilter::new(two_oscillators(), screened(3.5)).unwrap();
+        resumed.restore(postcard::from_bytes(&bytes).unwrap()).unwrap();
+        run(&mut unbroken, stop..600);
+        run(&mut resumed, stop..600);
+        assert_eq!(unbroken.state(), resumed.state(), "stopped at {stop}");
     }
 }

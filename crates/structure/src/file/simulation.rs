@@ -2,11 +2,13 @@
 
 use super::find_name;
 use crate::section::{Allowed, Section};
-use crate::simulation_plan::{Damage, Modulation, SimulationPlan};
+use crate::simulation_plan::{Damage, Modulation, SimulationPlan, SpikeKind};
 use toml::Spanned;
 
 /// Largest seed that a TOML integer holds.
 const LARGEST_SEED: usize = i64::MAX as usize;
+
+const SPIKE_KINDS: [(&str, SpikeKind); 2] = [("added", SpikeKind::Added), ("replaced", SpikeKind::Replaced)];
 
 /// What a simulation refers to; `None` where some could not be read.
 pub(super) struct Context<'c> {
@@ -36,6 +38,9 @@ pub(super) fn read_simulation(section: Option<Section<'_>>, context: &Context<'_
     plan.dropped_share = section.number_or("dropped-share", Allowed::SHARE, 0.0);
     plan.spikes.share = section.number_or("spike-share", Allowed::SHARE, 0.0);
     plan.spikes.height = section.number_or("spike-height", Allowed::POSITIVE, SimulationPlan::SPIKE_HEIGHT);
+    if let Some(kind) = section.choice("spike-kind", &SPIKE_KINDS) {
+        plan.spikes.kind = kind.into_inner();
+    }
     for (node, value) in section.entries("clock-offsets-s") {
         let offset = section.entry_number("clock-offsets-s", &node, value, Allowed::ANY);
         let index =

@@ -21,17 +21,6 @@ impl Chain {
         Self { masses, stiffness, process: zero.clone(), force: 0.0, observed: zero }
     }
 
-    /// Nominal stiffness matrix (N_d × N_d).
-    pub fn matrix(&self) -> DMatrix<f64> {
-        let n = self.masses;
-        DMatrix::from_fn(n, n, |i, j| match i.abs_diff(j) {
-            0 if i + 1 == n => self.stiffness,
-            0 => 2.0 * self.stiffness,
-            1 => -self.stiffness,
-            _ => 0.0,
-        })
-    }
-
     /// `[K x]_i` for the nominal stiffness.
     fn force_row(&self, x: &[f64], i: usize) -> f64 {
         let below = if i > 0 { x[i - 1] } else { 0.0 };

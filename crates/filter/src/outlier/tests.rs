@@ -1,0 +1,231 @@
+use super::*;
+use proptest::prelude::*;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+
+#[test]
+fn upper_bounds_are_those_of_the_source() {
+    // (4.27); the table of windows
+    for (window, expected) in
+        [(100, 2.7046), (1000, 3.3926), (3627, 3.7306), (10_000, 3.9787), (94_118, 4.4829), (100_000, 4.4958)]
+    {
+        assert!((upper_bound(window) - expected).abs() < 1e-4, "{window}: {}", upper_bound(window));
+    }
+}
+
+#[test]
+fn probabilities_are_those_of_the_binomial_distribution() {
+    for (epsilon, beyond, regular, expected) in [
+        (2.5, 0, 0, 0.987_581),
+        (2.5, 0, 50, 0.528_691),
+        (2.5, 0, 100, 0.283_029),
+        (3.0, 0, 100, 0.761_056),
+        (3.0, 0, 1000, 0.066_793),
+        (3.0, 2, 999, 0.493_443),
+        (3.0, 3, 999, 0.714_227),
+        (2.5, 123, 9999, 0.480_876),
+        (2.5, 124, 9999, 0.516_896),
+    ] {
+        let found = outlier_probability(epsilon, beyond, regular);
+        assert!((found - expected).abs() < 1e-6, "{epsilon} {beyond} {regular}: {found}, expected {expected}");
+    }
+}
+
+/// The sum of (4.18) as it is written, from the first term on.
+fn plain_sum(epsilon: f64, beyond: usize, regular: usize) -> f64 {
+    let q = libm::erfc(epsilon / std::f64::consts::SQRT_2);
+    let n = (regular + 1) as f64;
+    let mut term = (1.0 - q).powf(n);
+    let mut sum = term;
+    for k in 0..beyond {
+        term *= (n - k as f64) / (k as f64 + 1.0) * q / (1.0 - q);
+        sum += term;
+    }
+    sum
+}
+
+fn settings(window: usize) -> OutlierSettings {
+    OutlierSettings {
+        training: OutlierTraining::Raw,
+        training_steps: 100,
+        window,
+        lower: 2.0,
+        upper: upper_bound(window),
+        fault_share: 0.2,
+        fault_window: 1000,
+    }
+}
+
+proptest! {
+    #[test]
+    fn probability_agrees_with_the_plain_sum(epsilon in 0.5..5.0, regular in 0_usize..600, share in 0.0..1.0) {
+        let beyond = (share * regular as f64) as usize;
+        let (found, expected) = (outlier_probability(epsilon, beyond, regular), plain_sum(epsilon, beyond, regular));
+        prop_assert!((found - expected).abs() < 1e-9, "{found} {expected}");
+    }
+
+    #[test]
+    fn beyond_the_upper_bound_every_sample_is_an_outlier(window in 3_usize..5000, excess in 0.0..2.0, beyond in 0_usize..10) {
+        let epsilon = upper_bound(window) + 1e-9 + excess;
+        for regular in [0, window / 2, window] {
+            prop_assert!(outlier_probability(epsilon, beyond.min(regular), regular) >= 0.5);
+        }
+    }
+
+    #[test]
+    fn state_goes_through_serialisation_unchanged(seed in 0_u64..1000, stop in 1_usize..400) {
+        let settings = OutlierSettings { training_steps: 30, fault_window: 50, ..settings(60) };
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut draw = || {
+            let normal: f64 = StandardNormal.sample(&mut random);
+            if normal > 2.2 { 9.0 * normal } else { normal }
+        };
+        let mut unbroken = OutlierState::new(&settings, 2);
+        let mut sorted = Vec::new();
+        for _ in 0..stop {
+            unbroken.screen(&settings, &mut [draw(), draw()], &[1.0, 1.0], &mut sorted);
+        }
+        let mut resumed: OutlierState = postcard::from_bytes(&postcard::to_stdvec(&unbroken).unwrap()).unwrap();
+        for _ in 0..100 {
+            let data = [draw(), draw()];
+            unbroken.screen(&settings, &mut data.clone(), &[1.0, 1.0], &mut sorted);
+            resumed.screen(&settings, &mut data.clone(), &[1.0, 1.0], &mut sorted);
+        }
+        prop_assert_eq!(unbroken, resumed);
+    }
+}
+
+/// Share of a clean stream of standard normals that is rejected, from a given scale.
+fn swamping(seed: u64, settings: &OutlierSettings, samples: usize, scale: f64, held: bool) -> f64 {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut channel = ChannelScreen::new(settings);
+    channel.scale = scale;
+    let mut rejected = 0;
+    for _ in 0..samples {
+        channel.residual = StandardNormal.sample(&mut random);
+        rejected += usize::from(channel.screen(settings, 0.0));
+        if held {
+            channel.scale = scale;
+        }
+    }
+    rejected as f64 / samples as f64
+}
+
+#[test]
+fn a_clean_stream_is_swamped_as_little_as_the_window_allows() {
+    // the scale held at 1, then updated; 120 000 samples
+    for seed in [1, 2, 3] {
+        for (window, held, updated) in [(1000, 0.0074, 0.0153), (3627, 0.0047, 0.0105), (10_000, 0.0033, 0.0068)] {
+            let found = swamping(seed, &settings(window), 120_000, 1.0, true);
+            assert!((found / held - 1.0).abs() < 0.25, "seed {seed}, window {window}: {found}, expected {held}");
+            let found = swamping(seed, &settings(window), 120_000, 1.0, false);
+            assert!((found / updated - 1.0).abs() < 0.35, "seed {seed}, window {window}, updated: {found}");
+        }
+    }
+}
+
+#[test]
+fn without_the_lower_bound_half_of_a_clean_stream_is_rejected() {
+    for seed in [1, 2, 3] {
+        let settings = OutlierSettings { lower: 0.0, ..settings(1000) };
+        let found = swamping(seed, &settings, 20_000, 1.0, true);
+        assert!(found > 0.4, "seed {seed}: {found}");
+    }
+}
+
+#[test]
+fn a_fixed_threshold_flags_as_many_clean_points_as_there_are_points() {
+    // the empirical rule that the method replaces: outside the square [−α, α]² of a bivariate normal, expected counts
+    for (points, alpha, noise, expected) in [
+        (1000, 2.5, 0.0, 24.68),
+        (500, 2.5, 0.05, 12.45),
+        (500, 2.5, 0.25, 15.18),
+        (500, 2.5, 0.5, 25.03),
+        (500, 2.0, 0.0, 44.47),
+        (500, 2.4, 0.0, 16.26),
+        (500, 2.5, 0.0, 12.34),
+        (500, 2.6, 0.0, 9.28),
+    ] {
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let mut draw = || -> f64 { StandardNormal.sample(&mut random) };
+        let repeats = 400;
+        let mut flagged = 0;
+        for _ in 0..repeats * points {
+            let point = [draw() + noise * draw(), draw() + noise * draw()];
+            flagged += usize::from(point.iter().any(|value: &f64| value.abs() > alpha));
+        }
+        let mean = flagged as f64 / f64::from(repeats);
+        assert!((mean / expected - 1.0).abs() < 0.05, "{points} {alpha} {noise}: {mean}, expected {expected}");
+    }
+}
+
+/// Feeds channels with residuals of unit deviation as the filter sees it, each scaled by `factor(channel, step)`.
+fn feed(
+    steps: usize,
+    channels: usize,
+    factor: impl Fn(usize, usize) -> f64,
+) -> (OutlierState, Vec<(usize, usize, OutlierChange)>) {
+    let settings = OutlierSettings { fault_window: 500, ..settings(5000) };
+    let mut state = OutlierState::new(&settings, channels);
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let (mut changes, mut sorted) = (Vec::new(), Vec::new());
+    for step in 0..steps {
+        let mut residuals: Vec<f64> = (0..channels)
+            .map(|channel| {
+                let normal: f64 = StandardNormal.sample(&mut random);
+                normal * factor(channel, step)
+            })
+            .collect();
+        state.screen(&settings, &mut residuals, &vec![1.0; channels], &mut sorted);
+        changes
+            .extend(state.channels().iter().enumerate().filter_map(|(c, channel)| Some((c, step, channel.change()?))));
+    }
+    (state, changes)
+}
+
+#[test]
+fn a_scale_that_is_too_small_is_found_anew() {
+    // one channel learns in a quiet stretch and is noisier by five afterwards: without help it would stay locked out
+    let (state, changes) = feed(4000, 3, |channel, step| if channel == 1 && step < 100 { 0.2 } else { 1.0 });
+    assert!(changes.iter().any(|change| matches!(change, (1, _, OutlierChange::Rescaled))), "{changes:?}");
+    let channel = &state.channels()[1];
+    // a fifth of the residuals from which it was found were still quiet
+    assert!(!channel.faulty() && (0.8..1.1).contains(&channel.scale()), "scale {}", channel.scale());
+    assert!(channel.rejected_share() < 0.05);
+}
+
+#[test]
+fn a_faulty_channel_is_told_from_the_others_and_taken_back() {
+    let broken = 1000..3000;
+    let (state, changes) =
+        feed(6000, 3, |channel, step| if channel == 2 && broken.contains(&step) { 50.0 } else { 1.0 });
+    let began = changes.iter().find(|change| change.2 == OutlierChange::FaultBegan).expect("a fault");
+    let ended = changes.iter().find(|change| change.2 == OutlierChange::FaultEnded).expect("the end of the fault");
+    assert!(began.0 == 2 && broken.contains(&began.1), "{began:?}");
+    assert!(ended.0 == 2 && (3000..4600).contains(&ended.1), "{ended:?}");
+    assert!(state.channels().iter().all(|channel| !channel.faulty()));
+    assert_eq!(changes.iter().filter(|change| change.2 == OutlierChange::FaultBegan).count(), 1, "{changes:?}");
+}
+
+#[test]
+fn motion_that_grows_on_all_channels_is_no_fault_of_sensors() {
+    let (state, changes) = feed(6000, 4, |_, step| if step < 1000 { 1.0 } else { 20.0 });
+    assert!(changes.iter().all(|change| change.2 != OutlierChange::FaultBegan), "{changes:?}");
+    assert!(state.channels().iter().all(|channel| channel.rejected_share() < 0.05));
+}
+
+#[test]
+fn dead_and_missing_channels_leave_numbers() {
+    let settings = settings(1000);
+    let mut state = OutlierState::new(&settings, 2);
+    let mut sorted = Vec::new();
+    for _ in 0..500 {
+        let mut residuals = [0.0, f64::NAN];
+        state.screen(&settings, &mut residuals, &[1.0, 1.0], &mut sorted);
+        assert!(residuals[1].is_nan());
+    }
+    let [dead, missing] = state.channels() else { panic!("two channels") };
+    assert!(dead.scale() > 0.0 && dead.verdict() == Verdict::Regular);
+    assert_eq!((missing.verdict(), missing.seen(), missing.trained()), (Verdict::Missing, 0, false));
+}

@@ -1,0 +1,77 @@
+//! What people are told of the outliers of one channel.
+
+use spandrel_bus::{ChannelState, MaskedSpan, Name, OutlierDisplay};
+use spandrel_filter::{ChannelScreen, OutlierChange, Verdict};
+
+/// One channel as it is displayed.
+#[derive(Debug, Clone)]
+pub(crate) struct ScreeningView {
+    channel: Name,
+    /// samples rejected at the last message
+    told: u64,
+    masked: Option<MaskedSpan>,
+    /// the last sample was rejected
+    masking: bool,
+}
+
+impl ScreeningView {
+    pub(crate) fn new(channel: Name) -> Self {
+        Self { channel, told: 0, masked: None, masking: false }
+    }
+
+    pub(crate) fn channel(&self) -> &Name {
+        &self.channel
+    }
+
+    /// Takes what became of one sample; the words for an event are returned where it changed something for people.
+    pub(crate) fn take(&mut self, time_ns: i64, screen: &ChannelScreen) -> Option<(OutlierChange, String)> {
+        match screen.verdict() {
+            Verdict::Outlier | Verdict::Faulty => {
+                let (from_ns, samples) = match self.masked {
+                    Some(span) if self.masking => (span.from_ns, span.samples + 1),
+                    Some(_) | None => (time_ns, 1),
+                };
+                self.masked = Some(MaskedSpan { from_ns, to_ns: time_ns, samples });
+                self.masking = true;
+            }
+            Verdict::Regular => self.masking = false,
+            Verdict::Missing => {}
+        }
+        let share = 100.0 * screen.rejected_share();
+        match screen.change()? {
+            change @ OutlierChange::FaultBegan => {
+                Some((change, format!("{share:.0} % of its recent samples are far from what the structure does")))
+            }
+            change @ OutlierChange::FaultEnded => {
+                Some((change, "its samples agree with the structure again".to_owned()))
+            }
+            change @ OutlierChange::Rescaled => {
+                Some((change, format!("too many samples were rejected; residuals now count in {:.2e}", screen.scale())))
+            }
+            OutlierChange::Trained => None,
+        }
+    }
+
+    /// Makes the message of one instant, and begins to count anew.
+    pub(crate) fn display(&mut self, structure: &Name, time_ns: i64, screen: &ChannelScreen) -> OutlierDisplay {
+        // a restarted filter counts from zero
+        let flagged = screen.rejected().checked_sub(self.told).unwrap_or(screen.rejected());
+        self.told = screen.rejected();
+        OutlierDisplay {
+            structure: structure.clone(),
+            channel: self.channel.clone(),
+            time_ns,
+            state: match (screen.faulty(), screen.trained()) {
+                (true, _) => ChannelState::Faulty,
+                (false, true) => ChannelState::Screening,
+                (false, false) => ChannelState::Training,
+            },
+            flagged,
+            rejected: screen.rejected(),
+            screened: screen.seen(),
+            recent_share: screen.rejected_share(),
+            scale: screen.scale(),
+            masked: self.masked,
+        }
+    }
+}
