@@ -316,8 +316,12 @@ impl CheckPage {
         writeln!(f, "  {:width$}  {:>14}  {:>7}  {after:>20}", "noise level", "stated", "adapted")?;
         for line in &self.noise_levels {
             let unit = if line.unit == "1" { "" } else { line.unit };
-            let stated =
-                if line.std < SMALL { format!("{:e} {unit}", line.std) } else { format!("{} {unit}", line.std) };
+            let stated = if line.std < SMALL {
+                format!("{:.3e} {unit}", line.std)
+            } else {
+                // a level that follows from a spectral intensity has more digits than anybody knows
+                format!("{} {unit}", (line.std * 1e4).round() / 1e4)
+            };
             let stated = stated.trim_end();
             let adapted = if line.adapted { "yes" } else { "no" };
             let known = format!("{:.1} %", 100.0 * line.relative_std_after);

@@ -14,6 +14,7 @@ mod outliers;
 mod parameter;
 mod record;
 mod simulation;
+mod skeleton;
 
 use crate::diagnostics::{Diagnostics, one_of};
 use crate::error::StructureError;

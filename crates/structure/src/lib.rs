@@ -53,6 +53,7 @@ mod file;
 mod matrix_file;
 mod section;
 mod shear_building;
+mod skeleton;
 
 mod assembly;
 mod check;

@@ -4,6 +4,7 @@
 //! substructures and `C = α M + β K` or a given matrix. Every kind of model of the structure file that is linear
 //! becomes one of these.
 
+use crate::skeleton::Direction;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use nalgebra_sparse::CsrMatrix;
 
@@ -66,6 +67,8 @@ pub(crate) struct LinearSystem {
     pub(crate) substructures: Vec<Substructure>,
     pub(crate) damping: Damping,
     pub(crate) degrees_of_freedom: Vec<String>,
+    /// The direction of each, where the model has any; else empty.
+    pub(crate) directions: Vec<Direction>,
 }
 
 impl LinearSystem {

@@ -15,7 +15,7 @@ use crate::linear_system::{Damping, LinearSystem, Mass, dense};
 use crate::modes::Modes;
 use crate::parameter::{Parameter, Scales};
 use crate::structure::Structure;
-use nalgebra::{Cholesky, DMatrix, Dyn};
+use nalgebra::DMatrix;
 use point::Point;
 use response::Response;
 use spandrel_filter::{ObservationModel, ProcessModel};
@@ -36,9 +36,9 @@ pub struct StructureModel {
 #[derive(Debug, Clone)]
 pub(crate) struct Fixed {
     assembly: Assembly,
-    /// Factor of a mass matrix that is not diagonal.
-    mass_factor: Option<Cholesky<f64, Dyn>>,
-    /// `1/m` (1/kg) as designed; ones beside a factor.
+    /// `M⁻¹` (1/kg) of a mass matrix that is not diagonal: products with it vectorise, triangular solves do not.
+    mass_inverse: Option<DMatrix<f64>>,
+    /// `1/m` (1/kg) as designed; ones beside an inverse.
     reciprocal_masses: Vec<f64>,
     parameters: Vec<Parameter>,
     /// Degrees of freedom whose acceleration each parameter can change, as a range: the rest of a column of `W` is zero.
@@ -103,9 +103,9 @@ impl Fixed {
             Damping::Rayleigh { alpha_per_s, beta_s } => (*alpha_per_s, *beta_s),
             Damping::Matrix(_) => (0.0, 0.0),
         };
-        let (mass_factor, reciprocal_masses) = match &system.mass {
+        let (mass_inverse, reciprocal_masses) = match &system.mass {
             Mass::Lumped(masses) => (None, masses.iter().map(|mass| 1.0 / mass).collect()),
-            Mass::Consistent { factor, .. } => (Some(factor.clone()), vec![1.0; len]),
+            Mass::Consistent { factor, .. } => (Some(factor.inverse()), vec![1.0; len]),
         };
         let inputs = structure.excitations.len();
         let mut forces = DMatrix::zeros(len, inputs);
@@ -122,7 +122,7 @@ impl Fixed {
         }
         let assembly = Assembly::new(system, &structure.parameters);
         let reach = |(index, parameter): (usize, &Parameter)| match &parameter.scales {
-            Scales::Stiffness(_) if mass_factor.is_none() => assembly.scaled_rows(index),
+            Scales::Stiffness(_) if mass_inverse.is_none() => assembly.scaled_rows(index),
             Scales::Mass(dofs) => {
                 let first = dofs.iter().min().map_or(0, |first| *first);
                 first..dofs.iter().max().map_or(first, |last| last + 1)
@@ -133,7 +133,7 @@ impl Fixed {
         Self {
             reach: structure.parameters.iter().enumerate().map(reach).collect(),
             assembly,
-            mass_factor,
+            mass_inverse,
             reciprocal_masses,
             parameters: structure.parameters.clone(),
             alpha_per_s,

@@ -264,6 +264,19 @@ impl<'t> Section<'t> {
         Some(Spanned::new(value.span(), names))
     }
 
+    /// Reads a list of texts.
+    pub(crate) fn texts(&mut self, key: &'static str) -> Option<Vec<Spanned<String>>> {
+        let value = self.value(key)?;
+        let text = |entry: &Spanned<DeValue<'t>>| {
+            entry.get_ref().as_str().map(|text| Spanned::new(entry.span(), text.to_owned()))
+        };
+        let texts = value.get_ref().as_array().and_then(|entries| entries.iter().map(text).collect());
+        if texts.is_none() {
+            self.refuse(key, value, "must be a list of texts in quotes");
+        }
+        texts
+    }
+
     /// Reads one of a closed set of words.
     pub(crate) fn choice<T: Copy>(&mut self, key: &'static str, choices: &[(&str, T)]) -> Option<Spanned<T>> {
         let value = self.value(key)?;

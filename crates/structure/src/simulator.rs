@@ -74,6 +74,18 @@ impl Structure {
         Simulator::new(self, self.simulation.clone(), vec![1.0; self.parameters.len()], seed)
     }
 
+    /// Makes a simulation of the same motion whose samples are all there and free of noise.
+    #[must_use]
+    pub fn clean_simulator(&self, seed: u64) -> Simulator {
+        let mut plan = self.simulation.clone();
+        (plan.dropped_share, plan.spikes.share) = (0.0, 0.0);
+        let mut simulator = Simulator::new(self, plan, vec![1.0; self.parameters.len()], seed);
+        for channel in &mut simulator.channels {
+            (channel.noise_std, channel.every) = (0.0, 1);
+        }
+        simulator
+    }
+
     /// Makes a simulation of the structure at its prior means, with nothing but white noise happening to it.
     pub(crate) fn undamaged_simulator(&self, seed: u64) -> Simulator {
         let plan = SimulationPlan::uneventful(self.nodes.len());

@@ -71,6 +71,12 @@ impl Structure {
         &self.description
     }
 
+    /// Returns the names of the degrees of freedom, in the order of the state.
+    #[must_use]
+    pub fn degrees_of_freedom(&self) -> &[String] {
+        &self.system.degrees_of_freedom
+    }
+
     /// Returns the file as read.
     #[must_use]
     pub fn text(&self) -> &str {

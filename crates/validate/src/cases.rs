@@ -4,11 +4,13 @@ use crate::error::ValidateError;
 use crate::outcome::Outcome;
 use crate::run::Run;
 
+mod ekf_bridge;
 mod ekf_oscillator;
 mod kalman_building;
 mod kalman_vehicle;
 mod noise_chain;
 mod outlier_oscillator;
+mod outlier_truss;
 
 /// One published example.
 #[derive(Debug)]
@@ -28,7 +30,7 @@ const BOOK_2: &str = "Huang & Yuen (2023), chapter 2";
 const BOOK_3: &str = "Huang & Yuen (2023), chapter 3";
 const BOOK_4: &str = "Huang & Yuen (2023), chapter 4";
 
-static CASES: [Case; 5] = [
+static CASES: [Case; 7] = [
     Case {
         name: "kalman.vehicle",
         title: "Tracking of a vehicle with the Kalman filter",
@@ -51,6 +53,13 @@ static CASES: [Case; 5] = [
         run: ekf_oscillator::run,
     },
     Case {
+        name: "ekf.bridge",
+        title: "Three-pier bridge, two groups of members damaged",
+        source: BOOK_2,
+        weight: 200.0,
+        run: ekf_bridge::run,
+    },
+    Case {
         name: "noise-ekf.chain",
         title: "Five-mass chain with wrong, right and identified noise levels",
         source: BOOK_3,
@@ -63,6 +72,13 @@ static CASES: [Case; 5] = [
         source: BOOK_4,
         weight: 20.0,
         run: outlier_oscillator::run,
+    },
+    Case {
+        name: "outlier.truss",
+        title: "Fourteen-bay truss with wrong samples on all channels",
+        source: BOOK_4,
+        weight: 400.0,
+        run: outlier_truss::run,
     },
 ];
 

@@ -20,6 +20,7 @@ mod outcome;
 mod plan;
 mod report;
 mod run;
+mod scene;
 mod statistics;
 mod systems;
 

@@ -8,6 +8,7 @@ use crate::linear_system::LinearSystem;
 use crate::matrix_file::{self, Unusable};
 use crate::node::Quantity;
 use crate::section::{Allowed, Section};
+use crate::skeleton::Direction;
 use toml::Spanned;
 
 #[derive(Clone, Copy, PartialEq)]
@@ -65,7 +66,7 @@ fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<Ex
                 .map(|degree_of_freedom| Action::Force { degree_of_freedom })
         }
         None => {
-            section.leave_unread(&["dof", "influence"]);
+            section.leave_unread(&["dof", "influence", "direction"]);
             None
         }
     };
@@ -112,9 +113,20 @@ fn read_influence(section: &mut Section<'_>, system: Option<&LinearSystem>) -> O
             }
         }
     } else {
+        let direction = section.choice("direction", &Direction::WORDS[..3]);
         let Some(numbers) = section.numbers(key, Allowed::ANY) else {
-            return Some(Action::Ground { influence: vec![1.0; system?.len()] });
+            return influence_of_direction(section, direction, system?);
         };
+        if let Some(direction) = direction {
+            let allowed = "must be left out, or influence";
+            section.diagnostics().report(
+                direction.span(),
+                section.key("direction"),
+                "is given beside influence",
+                allowed,
+            );
+            return None;
+        }
         (numbers.span(), numbers.into_inner())
     };
     let len = system?.len();
@@ -125,6 +137,30 @@ fn read_influence(section: &mut Section<'_>, system: Option<&LinearSystem>) -> O
         return None;
     }
     Some(Action::Ground { influence })
+}
+
+/// Returns ones for the degrees of freedom in a direction, or everywhere in a model that has no directions.
+fn influence_of_direction(
+    section: &Section<'_>,
+    direction: Option<Spanned<Direction>>,
+    system: &LinearSystem,
+) -> Option<Action> {
+    let (span, found, allowed) = match direction {
+        None if system.directions.is_empty() => return Some(Action::Ground { influence: vec![1.0; system.len()] }),
+        None => {
+            (section.span(), "is missing", "must be \"x\", \"y\" or \"z\", the direction in which the ground moves")
+        }
+        Some(direction) => {
+            let along = |own: &Direction| f64::from(u8::from(own == direction.get_ref()));
+            let influence: Vec<f64> = system.directions.iter().map(along).collect();
+            if influence.contains(&1.0) {
+                return Some(Action::Ground { influence });
+            }
+            (direction.span(), "is a direction in which nothing moves", "must be one of the model's directions")
+        }
+    };
+    section.diagnostics().report(span, section.key("direction"), found, allowed);
+    None
 }
 
 fn read_measured(

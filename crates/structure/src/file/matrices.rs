@@ -59,7 +59,7 @@ pub(super) fn read_matrices(section: &mut Section<'_>) -> Option<LinearSystem> {
     }
     let substructures = parts.into_iter().map(|(name, part)| Substructure { name, stiffness: part.matrix }).collect();
     let damping = Damping::Rayleigh { alpha_per_s: 0.0, beta_s: 0.0 };
-    let system = LinearSystem { mass, substructures, damping, degrees_of_freedom };
+    let system = LinearSystem { mass, substructures, damping, degrees_of_freedom, directions: Vec::new() };
     if let Some(free) = matrix_file::free_degree_of_freedom(&system.nominal_stiffness()) {
         let found = format!("leave degree of freedom {} free to move", system.degrees_of_freedom[free]);
         let allowed = "must hold the structure together: their sum must be positive definite";

@@ -1,18 +1,27 @@
 //! Reads `[model]`: the kind, and the shear building.
 
 use super::matrices::read_matrices;
+use super::skeleton::read_skeleton;
 use crate::linear_system::{Damping, LARGEST_MODEL, LinearSystem};
 use crate::modes::Modes;
 use crate::section::{Allowed, Section};
 use crate::shear_building::ShearBuilding;
+use crate::skeleton::Action;
 
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     ShearBuilding,
+    Frame,
+    Truss,
     Matrices,
 }
 
-const KINDS: [(&str, Kind); 2] = [("shear-building", Kind::ShearBuilding), ("matrices", Kind::Matrices)];
+const KINDS: [(&str, Kind); 4] = [
+    ("shear-building", Kind::ShearBuilding),
+    ("frame", Kind::Frame),
+    ("truss", Kind::Truss),
+    ("matrices", Kind::Matrices),
+];
 
 /// Reads `[model]`; the damping of the result is still zero.
 pub(super) fn read_model(mut section: Section<'_>) -> Option<LinearSystem> {
@@ -23,7 +32,10 @@ pub(super) fn read_model(mut section: Section<'_>) -> Option<LinearSystem> {
             substructures: building.substructures(),
             damping: Damping::Rayleigh { alpha_per_s: 0.0, beta_s: 0.0 },
             degrees_of_freedom: building.degrees_of_freedom(),
+            directions: Vec::new(),
         }),
+        Kind::Frame => read_skeleton(&mut section, Action::Frame),
+        Kind::Truss => read_skeleton(&mut section, Action::Truss),
         Kind::Matrices => read_matrices(&mut section),
     };
     let system = system.filter(|system| check_frequencies(&section, system));

@@ -31,6 +31,8 @@ pub(super) struct Point {
     pub(super) acceleration_by_theta: DMatrix<f64>,
     /// `x + β ẋ` (N_d).
     stretched: Vec<f64>,
+    /// (N_d)
+    scratch: Vec<f64>,
 }
 
 impl Point {
@@ -53,6 +55,7 @@ impl Point {
             restoring_by_theta: DMatrix::zeros(free, parameters),
             acceleration_by_theta: DMatrix::zeros(free, parameters),
             stretched: zeros(),
+            scratch: zeros(),
         }
     }
 
@@ -95,7 +98,7 @@ impl Point {
         if let Some(damping) = fixed.assembly.damping() {
             fixed.assembly.mul_add_to(damping, &self.velocity, &mut self.restoring); // + C ẋ
         }
-        fixed.divide_by_mass(&mut self.restoring);
+        fixed.divide_by_mass(&mut self.restoring, &mut self.scratch);
         self.forced.fill(0.0);
         self.ground.fill(0.0);
         for (input, f) in excitation.iter().enumerate() {
@@ -139,7 +142,7 @@ impl Point {
                     continue;
                 }
             }
-            fixed.divide_by_mass(column);
+            fixed.divide_by_mass(column, &mut self.scratch);
             for (entry, by_mass) in column.iter_mut().zip(&self.mass_factors_inverse) {
                 *entry *= -by_mass;
             }
@@ -163,18 +166,22 @@ impl Point {
             let (v, _) = rest.split_at(free);
             let (out_x, rest) = out.split_at_mut(free);
             let (out_v, _) = rest.split_at_mut(free);
-            // the rows of x lend their place to x + β ẋ
-            for ((s, x), v) in out_x.iter_mut().zip(x).zip(v) {
+            // the rows of x and ẋ lend their place to what comes before
+            let (stretched, elastic): (&mut [f64], &mut [f64]) = match fixed.mass_inverse {
+                Some(_) => (&mut *out_v, &mut *out_x),
+                None => (&mut *out_x, &mut *out_v),
+            };
+            for ((s, x), v) in stretched.iter_mut().zip(x).zip(v) {
                 *s = x + self.beta_s * v;
             }
-            fixed.assembly.mul_to(&self.stiffness, out_x, out_v); // K (X + β V)
+            fixed.assembly.mul_to(&self.stiffness, stretched, elastic); // K (X + β V)
             if let Some(damping) = fixed.assembly.damping() {
-                fixed.assembly.mul_add_to(damping, v, out_v); // + C V
+                fixed.assembly.mul_add_to(damping, v, elastic); // + C V
+            }
+            if let Some(inverse) = &fixed.mass_inverse {
+                mul_dense_to(inverse, out_x, out_v);
             }
             out_x.copy_from_slice(v);
-        }
-        if let Some(factor) = &fixed.mass_factor {
-            factor.solve_mut(&mut out.rows_mut(free, free));
         }
         for (column, out) in columns.as_slice().chunks_exact(len).zip(out.as_mut_slice().chunks_exact_mut(len)) {
             let (v, theta) = column[free..].split_at(free);
@@ -196,13 +203,36 @@ impl Point {
 
 impl Fixed {
     /// Replaces a vector `r` (N_d) by `M⁻¹ r` with the mass as designed.
-    fn divide_by_mass(&self, r: &mut [f64]) {
-        if let Some(factor) = &self.mass_factor {
-            let rows = r.len();
-            factor.solve_mut(&mut nalgebra::DMatrixViewMut::from_slice(r, rows, 1));
+    ///
+    /// `scratch` (N_d) is overwritten.
+    fn divide_by_mass(&self, r: &mut [f64], scratch: &mut [f64]) {
+        if let Some(inverse) = &self.mass_inverse {
+            scratch.copy_from_slice(r);
+            mul_dense_to(inverse, scratch, r);
         }
         for (entry, reciprocal) in r.iter_mut().zip(&self.reciprocal_masses) {
             *entry *= reciprocal;
+        }
+    }
+}
+
+/// Writes `y = A x` for a square matrix, column by column: nalgebra's own product of this size allocates.
+fn mul_dense_to(matrix: &DMatrix<f64>, x: &[f64], y: &mut [f64]) {
+    let len = y.len();
+    y.fill(0.0);
+    let mut columns = matrix.as_slice().chunks_exact(4 * len);
+    let mut fours = x.chunks_exact(4);
+    for (four, x) in columns.by_ref().zip(fours.by_ref()) {
+        let (a, rest) = four.split_at(len);
+        let (b, rest) = rest.split_at(len);
+        let (c, d) = rest.split_at(len);
+        for ((((y, a), b), c), d) in y.iter_mut().zip(a).zip(b).zip(c).zip(d) {
+            *y += (a * x[0] + b * x[1]) + (c * x[2] + d * x[3]);
+        }
+    }
+    for (column, x) in columns.remainder().chunks_exact(len).zip(fours.remainder()) {
+        for (y, a) in y.iter_mut().zip(column) {
+            *y += a * x;
         }
     }
 }

@@ -359,6 +359,7 @@ fn the_published_chain_has_its_frequency() {
         substructures: stiffness.substructures(),
         damping: Damping::Rayleigh { alpha_per_s: 0.2998, beta_s: 2.536e-4 },
         degrees_of_freedom: stiffness.degrees_of_freedom(),
+        directions: Vec::new(),
     };
     let modes = Modes::of(&system, &[1.0; 5]).unwrap();
     assert!((modes.angular_frequencies[0] / (2.0 * PI) - 3.203).abs() < 0.001);

@@ -1,0 +1,190 @@
+//! A structure of an example, its simulated record, and its filter.
+
+use crate::error::ValidateError;
+use crate::outcome::{Plot, Series, SeriesKind};
+use crate::run::Run;
+use crate::statistics::{Accuracy, Mean, Normal, rms};
+use spandrel_filter::{ExtendedKalmanFilter, FilterSettings, Frame, Step};
+use spandrel_structure::{Structure, StructureModel};
+use std::path::Path;
+
+/// Frames between two looks at whether the run should go on.
+const LOOK_EVERY: usize = 1000;
+
+/// A record with all that is true behind it.
+pub(crate) struct Scene {
+    pub(crate) structure: Structure,
+    pub(crate) step_s: f64,
+    pub(crate) frames: usize,
+    /// of the observation channels, the share of their clean rms
+    pub(crate) noise_std: Vec<f64>,
+    /// frames × observation channels
+    clean: Vec<f64>,
+    data: Vec<f64>,
+    /// frames × watched states
+    states: Vec<f64>,
+    watched: Vec<usize>,
+}
+
+/// How a scene is made from a structure file.
+pub(crate) struct Plan<'p> {
+    /// The text of the file.
+    pub(crate) text: &'p str,
+    /// Length (s).
+    pub(crate) seconds: f64,
+    /// Noise of each channel as a share of its clean rms.
+    pub(crate) noise_share: f64,
+    /// States whose truth is kept, by number: displacements first, then velocities.
+    pub(crate) watched: &'p dyn Fn(&Structure) -> Vec<usize>,
+}
+
+/// Numbers of the states that are displacements (or velocities) of named degrees of freedom.
+pub(crate) fn states_of(structure: &Structure, names: &[&str], velocities: bool) -> Vec<usize> {
+    let all = structure.degrees_of_freedom();
+    let shift = if velocities { all.len() } else { 0 };
+    names.iter().filter_map(|name| all.iter().position(|known| known == name)).map(|at| at + shift).collect()
+}
+
+impl Scene {
+    /// Simulates the structure without noise, then adds noise in proportion to what each channel shows.
+    pub(crate) fn simulate(plan: &Plan<'_>, run: &Run<'_>) -> Result<Self, ValidateError> {
+        let structure = Structure::parse(plan.text, Path::new("example.toml"))?;
+        let step_s = structure.step_s();
+        let frames = (plan.seconds / step_s).round() as usize;
+        let rows = structure.observation_channels().to_vec();
+        let watched = (plan.watched)(&structure);
+        let (mut clean, mut states) = (Vec::with_capacity(frames * rows.len()), Vec::new());
+        let mut simulator = structure.clean_simulator(run.seed);
+        for frame in 0..frames {
+            states.extend(watched.iter().map(|state| simulator.state()[*state]));
+            let Some(values) = simulator.next() else { break };
+            clean.extend(rows.iter().map(|row| values.values[*row]));
+            if frame % LOOK_EVERY == 0 && !run.advance(0.0) {
+                return Err(ValidateError::Stopped);
+            }
+        }
+        let channels = rows.len();
+        let noise_std: Vec<f64> =
+            (0..channels).map(|c| plan.noise_share * rms(clean.iter().skip(c).step_by(channels).copied())).collect();
+        let mut noise = Normal::stream(run.seed, 7);
+        let data = clean.iter().enumerate().map(|(i, value)| value + noise_std[i % channels] * noise.draw()).collect();
+        Ok(Self { structure, step_s, frames, noise_std, clean, data, states, watched })
+    }
+
+    /// The settings of the file, with the noise of the sensors as it is.
+    pub(crate) fn settings(&self) -> Result<FilterSettings, ValidateError> {
+        let mut settings = self.structure.filter_settings().map_err(ValidateError::setting)?;
+        settings.noise.sensors.fill(0.0);
+        for (channel, std) in self.noise_std.iter().enumerate() {
+            settings.noise.sensors[(channel, channel)] = std * std;
+        }
+        Ok(settings)
+    }
+
+    /// Time of a frame (s).
+    pub(crate) fn time_s(&self, frame: usize) -> f64 {
+        frame as f64 * self.step_s
+    }
+
+    pub(crate) fn clean(&self, frame: usize) -> &[f64] {
+        let channels = self.noise_std.len();
+        &self.clean[frame * channels..(frame + 1) * channels]
+    }
+
+    pub(crate) fn data(&self, frame: usize) -> &[f64] {
+        let channels = self.noise_std.len();
+        &self.data[frame * channels..(frame + 1) * channels]
+    }
+
+    /// True values of the watched states at a frame.
+    pub(crate) fn states(&self, frame: usize) -> &[f64] {
+        &self.states[frame * self.watched.len()..(frame + 1) * self.watched.len()]
+    }
+
+    pub(crate) fn watched(&self) -> &[usize] {
+        &self.watched
+    }
+
+    /// Runs a filter over `data`, from this share of the case to that; `look` sees the filter after each frame.
+    pub(crate) fn filter<'d>(
+        &self,
+        settings: FilterSettings,
+        data: impl Fn(usize) -> &'d [f64],
+        shares: (f64, f64),
+        run: &Run<'_>,
+        mut look: impl FnMut(usize, &ExtendedKalmanFilter<StructureModel>, &Step),
+    ) -> Result<(), ValidateError> {
+        let mut filter = ExtendedKalmanFilter::new(self.structure.model(), settings).map_err(ValidateError::setting)?;
+        let excitation = vec![0.0; self.structure.excitation_channels().len()];
+        for frame in 0..self.frames {
+            let step = filter
+                .step(Frame { observations: data(frame), excitation: &excitation })
+                .map_err(ValidateError::at(self.time_s(frame)))?;
+            look(frame, &filter, &step);
+            let done = frame as f64 / self.frames as f64;
+            if frame % LOOK_EVERY == 0 && !run.advance(shares.0 + (shares.1 - shares.0) * done) {
+                return Err(ValidateError::Stopped);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What is followed of one parameter.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Course {
+    /// time, mean, deviation, truth: at every so many frames
+    pub(crate) points: Vec<[f64; 4]>,
+}
+
+impl Course {
+    pub(crate) fn take(&mut self, time_s: f64, mean: f64, variance: f64, truth: f64) {
+        self.points.push([time_s, mean, variance.max(0.0).sqrt(), truth]);
+    }
+
+    /// Mean of the estimate over a window (s).
+    pub(crate) fn mean(&self, from_s: f64, to_s: f64) -> f64 {
+        self.over(from_s, to_s, |point| point[1])
+    }
+
+    /// Mean of the stated deviation over a window (s).
+    pub(crate) fn std(&self, from_s: f64, to_s: f64) -> f64 {
+        self.over(from_s, to_s, |point| point[2])
+    }
+
+    fn over(&self, from_s: f64, to_s: f64, of: impl Fn(&[f64; 4]) -> f64) -> f64 {
+        let mut mean = Mean::default();
+        self.points.iter().filter(|point| (from_s..to_s).contains(&point[0])).for_each(|point| mean.take(of(point)));
+        mean.value()
+    }
+
+    /// Accuracy from a time (s) on.
+    pub(crate) fn accuracy(&self, from_s: f64) -> Accuracy {
+        let mut accuracy = Accuracy::default();
+        for [_, mean, std, truth] in self.points.iter().filter(|point| point[0] >= from_s) {
+            accuracy.take(*mean, *std, *truth);
+        }
+        accuracy
+    }
+
+    /// Time (s) after `jump_s` at which the estimate first has gone this share of the way between two values.
+    pub(crate) fn delay(&self, jump_s: f64, from: f64, to: f64, share: f64) -> f64 {
+        let gone = |point: &&[f64; 4]| point[0] >= jump_s && (point[1] - from) / (to - from) >= share;
+        self.points.iter().find(gone).map_or(f64::NAN, |point| point[0] - jump_s)
+    }
+
+    /// Truth, estimate and the interval of three deviations.
+    pub(crate) fn plot(&self, title: &str, unit: &str, range: (f32, f32)) -> Plot {
+        let every = (self.points.len() / 1200).max(1);
+        let curve = |of: &dyn Fn(&[f64; 4]) -> f64| {
+            self.points.iter().step_by(every).map(|point| (point[0] as f32, of(point) as f32)).collect()
+        };
+        let series = vec![
+            Series::new("99.7 %", SeriesKind::Bound, curve(&|[_, mean, std, _]| mean - 3.0 * std)),
+            Series::new("", SeriesKind::Bound, curve(&|[_, mean, std, _]| mean + 3.0 * std)),
+            Series::new("true", SeriesKind::Truth, curve(&|point| point[3])),
+            Series::new("estimated", SeriesKind::Estimate, curve(&|point| point[1])),
+        ];
+        Plot::over_time(title, unit, series).within(range.0, range.1)
+    }
+}
