@@ -30,12 +30,14 @@
 //! Logic:
 //!
 //! - [`StructureModel`]: the traits of `spandrel-filter` for a linear structure
+//! - [`BoucWenChain`], [`BoucWenModel`]: a chain of masses whose springs yield
 //! - [`Simulator`]: exact responses, damage, and faults of sensors
 //! - [`CheckReport`]: frequencies, damping, and what can be identified
 //!
 //! Not for systems that are no structures: implement the traits of `spandrel-filter` instead.
 
 mod alert_rule;
+mod bouc_wen;
 mod error;
 mod excitation;
 mod filter_plan;
@@ -66,6 +68,7 @@ mod simulator;
 mod steady_filter;
 
 pub use alert_rule::{AlertRule, Reference};
+pub use bouc_wen::{BoucWenChain, BoucWenModel, HysteresisDrive, SHAPE_PARAMETERS};
 pub use check::{
     CheckReport, Finding, IdentificationReport, ModeReport, NoiseLevelReport, ParameterReport, Severity, TimeStepReport,
 };

@@ -4,10 +4,12 @@ use crate::error::ValidateError;
 use crate::outcome::Outcome;
 use crate::run::Run;
 
+mod ekf_bouc_wen;
 mod ekf_bridge;
 mod ekf_oscillator;
 mod kalman_building;
 mod kalman_vehicle;
+mod noise_bouc_wen;
 mod noise_chain;
 mod outlier_oscillator;
 mod outlier_truss;
@@ -30,7 +32,7 @@ const BOOK_2: &str = "Huang & Yuen (2023), chapter 2";
 const BOOK_3: &str = "Huang & Yuen (2023), chapter 3";
 const BOOK_4: &str = "Huang & Yuen (2023), chapter 4";
 
-static CASES: [Case; 7] = [
+static CASES: [Case; 11] = [
     Case {
         name: "kalman.vehicle",
         title: "Tracking of a vehicle with the Kalman filter",
@@ -60,11 +62,39 @@ static CASES: [Case; 7] = [
         run: ekf_bridge::run,
     },
     Case {
+        name: "ekf.bouc-wen",
+        title: "Ten-mass chain whose springs yield, two of them damaged",
+        source: BOOK_2,
+        weight: 30.0,
+        run: ekf_bouc_wen::run,
+    },
+    Case {
         name: "noise-ekf.chain",
         title: "Five-mass chain with wrong, right and identified noise levels",
         source: BOOK_3,
         weight: 3.0,
         run: noise_chain::run,
+    },
+    Case {
+        name: "noise-ekf.bouc-wen.1",
+        title: "Five-mass chain whose springs yield, noise levels identified: stationary noises",
+        source: BOOK_3,
+        weight: 12.0,
+        run: noise_bouc_wen::stationary,
+    },
+    Case {
+        name: "noise-ekf.bouc-wen.2",
+        title: "Five-mass chain whose springs yield, noise levels identified: ground motion swells",
+        source: BOOK_3,
+        weight: 12.0,
+        run: noise_bouc_wen::excitation_swells,
+    },
+    Case {
+        name: "noise-ekf.bouc-wen.3",
+        title: "Five-mass chain whose springs yield, noise levels identified: ground motion and sensor noise swell",
+        source: BOOK_3,
+        weight: 12.0,
+        run: noise_bouc_wen::both_swell,
     },
     Case {
         name: "outlier.oscillator",

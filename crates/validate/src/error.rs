@@ -16,6 +16,12 @@ pub enum ValidateError {
     /// A structure file of a case is wrong.
     #[error("the structure of the case is wrong: {0}")]
     Structure(#[from] spandrel_structure::StructureError),
+    /// An example contradicts itself.
+    #[error("the {what} of the example does not hold together")]
+    Example {
+        /// What of it.
+        what: &'static str,
+    },
     /// The case was told to stop.
     #[error("stopped")]
     Stopped,

@@ -1,5 +1,6 @@
 //! Systems of the examples that no structure file describes.
 
 pub(crate) mod chain;
+pub(crate) mod hysteretic;
 pub(crate) mod linear;
 pub(crate) mod oscillator;
