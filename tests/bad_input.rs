@@ -15,8 +15,10 @@ const BAD_INPUT: i32 = 2;
 const FAILED: i32 = 1;
 
 /// All subcommands.
-const SUBCOMMANDS: [&str; 11] =
-    ["demo", "run", "ingest", "identify", "alert", "simulate", "replay", "estimate", "baseline", "check", "watch"];
+const SUBCOMMANDS: [&str; 12] = [
+    "demo", "run", "ingest", "identify", "alert", "simulate", "replay", "estimate", "baseline", "check", "validate",
+    "watch",
+];
 
 fn finish(command: &mut Command) -> Finished {
     Process::start(command).wait()

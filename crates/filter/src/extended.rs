@@ -18,6 +18,9 @@ use serde::{Deserialize, Serialize};
 /// eigenvalue sits there in every form of the update.
 const ROUNDING: f64 = 1e-12;
 
+/// Above this normalised innovation squared per entry of the state, a step is no measure of the motion.
+const CREDIBLE: f64 = 25.0;
+
 /// Start-up aid: the measurement noise is taken as `Σ_n (1 + a e^(−t/τ))`.
 ///
 /// With accurate sensors and parameters that start far off, the first updates lie outside the linear range of the
@@ -99,6 +102,13 @@ impl FilterSettings {
         }
         if !(self.step_s > 0.0 && self.step_s.is_finite()) {
             return Err(FilterError::Setting { what: "time step", found: self.step_s, allowed: "positive" });
+        }
+        for (&low, &high) in self.lower.iter().zip(&self.upper) {
+            // `clamp` panics on such limits
+            if low.is_nan() || high.is_nan() || low > high {
+                let allowed = "not above its upper limit, and a number";
+                return Err(FilterError::Setting { what: "lower limit of the state", found: low, allowed });
+            }
         }
         for &std in &self.prior_std {
             if !(std >= 0.0 && std.is_finite()) {
@@ -252,8 +262,17 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     }
 
     /// Goes back to the prior: what a diverged filter is left with.
+    ///
+    /// The structure need not be at rest: the motion starts as uncertain as it has been large.
     pub fn restart(&mut self) {
+        let motion_mean_square = self.state.motion_mean_square.clone();
+        let excitation_mean_square = self.state.excitation_mean_square.clone();
         self.state = FilterState::start(&self.model, &self.settings);
+        for (j, mean_square) in motion_mean_square.iter().enumerate() {
+            self.state.covariance[(j, j)] += mean_square;
+        }
+        (self.state.motion_mean_square, self.state.excitation_mean_square) =
+            (motion_mean_square, excitation_mean_square);
     }
 
     /// Forgets the motion and keeps the parameters and noise levels: after a gap too long to be bridged.
@@ -306,7 +325,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let limited_states = self.limit_state();
         let bounded_variances = bound_variances_mut(&mut self.work.covariance, &self.settings.variance_bound);
         self.check_result()?;
-        self.commit(frame);
+        self.commit(frame, evidence.normalised_innovation_squared);
         Ok(Step {
             normalised_innovation_squared: evidence.normalised_innovation_squared,
             log_evidence: evidence.log_evidence,
@@ -659,7 +678,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     }
 
     /// Makes the result of the step the state.
-    fn commit(&mut self, frame: Frame<'_>) {
+    fn commit(&mut self, frame: Frame<'_>, normalised_innovation_squared: f64) {
         let Self { model, settings, state, work } = self;
         if let (Some(direct), Some(posterior)) = (model.feedthrough(), &mut state.posterior) {
             update::infer_excitation(direct, &work.frame_excitation, &work.h_p, &work.update, posterior);
@@ -674,8 +693,11 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 state.excitation_mean_square[j] += weight * (known * known - state.excitation_mean_square[j]);
             }
         }
-        for (mean_square, value) in state.motion_mean_square.iter_mut().zip(&work.mean) {
-            *mean_square += weight * (value * value - *mean_square);
+        // a filter that diverges tells nothing of how large the motion is
+        if normalised_innovation_squared <= CREDIBLE * work.mean.len().max(1) as f64 {
+            for (mean_square, value) in state.motion_mean_square.iter_mut().zip(&work.mean) {
+                *mean_square += weight * (value * value - *mean_square);
+            }
         }
         state.steps += 1;
         state.fresh = false;

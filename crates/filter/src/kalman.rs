@@ -147,12 +147,6 @@ impl KalmanFilter {
     pub fn covariance(&self) -> &DMatrix<f64> {
         &self.covariance
     }
-
-    /// Returns the innovation of the last update, whitened by its covariance (N_0).
-    #[must_use]
-    pub fn whitened_innovation(&self) -> &DVector<f64> {
-        &self.innovation
-    }
 }
 
 #[cfg(test)]

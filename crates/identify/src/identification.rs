@@ -65,6 +65,10 @@ pub struct Identification {
     observations: Vec<f64>,
     excitation: Vec<f64>,
     restarts: u64,
+    /// frames since the last one with a channel
+    unobserved: u64,
+    /// a parameter was clipped at the last frame
+    clipped: bool,
 }
 
 /// Where the running epoch of frames stands.
@@ -74,6 +78,13 @@ struct Stream {
     next: u64,
     t0_ns: i64,
     sampling_rate_hz: f64,
+}
+
+impl Stream {
+    /// Returns how many frames predictions may bridge.
+    fn bridged_frames(self) -> u64 {
+        (BRIDGED_GAP_S * self.sampling_rate_hz) as u64
+    }
 }
 
 impl Identification {
@@ -135,6 +146,8 @@ impl Identification {
             band_limit,
             stream: None,
             restarts: 0,
+            unobserved: 0,
+            clipped: false,
         })
     }
 
@@ -238,13 +251,19 @@ impl Identification {
             *value = channel.map_or(0.0, |channel| self.frame[channel]);
         }
         let frame = Frame { observations: &self.observations, excitation: &self.excitation };
+        if self.stream.is_some_and(|stream| self.unobserved >= stream.bridged_frames()) {
+            self.filter.forget_motion(); // what was predicted so long is no longer known
+        }
         let result = self.filter.step(frame);
+        let observed = result.as_ref().is_ok_and(|step| step.used_channels > 0);
+        self.unobserved = if observed { 0 } else { self.unobserved + 1 };
         let restarted = result.is_err();
         if let Err(error) = &result {
             outputs.push(self.restart(time_ns, error));
         }
         if let Ok(step) = &result {
             self.tell_noise_events(time_ns, step, outputs);
+            self.tell_clipping(time_ns, step, outputs);
             self.tell_outliers(time_ns, outputs);
         }
         estimates.push(self.estimate(result.ok(), restarted));
@@ -265,7 +284,7 @@ impl Identification {
             return;
         };
         let missing = vec![f64::NAN; self.frame.len()];
-        let bridged = (BRIDGED_GAP_S * stream.sampling_rate_hz) as u64;
+        let bridged = stream.bridged_frames();
         let forgets = to - from.min(to) > bridged;
         let (time_ns, lost) = (grid.time_ns(from), to.saturating_sub(from));
         outputs.push(self.event(
@@ -304,6 +323,7 @@ impl Identification {
     fn restart(&mut self, time_ns: i64, error: &FilterError) -> Output {
         self.restarts += 1;
         self.filter.restart();
+        self.reset_band_limit();
         self.event(time_ns, EventKind::Restart, "filter restarted from its prior", &error.to_string())
     }
 
@@ -328,6 +348,27 @@ impl Identification {
             let why = "the innovations kept disagreeing with their covariance";
             outputs.push(self.event(time_ns, EventKind::Calibration, "noise levels back in training", why));
         }
+    }
+
+    /// Tells when parameters reach their bounds, once until they have left them.
+    fn tell_clipping(&mut self, time_ns: i64, step: &Step, outputs: &mut Vec<Output>) {
+        let clips = step.limited_states > 0;
+        if clips && !self.clipped {
+            let (mean, settings) = (self.filter.mean(), self.filter.settings());
+            let first = mean.len() - self.parameter_views.len();
+            let at_bound = |(index, view): (usize, &ParameterView)| {
+                let j = first + index;
+                (mean[j] <= settings.lower[j] || mean[j] >= settings.upper[j]).then(|| view.name().to_string())
+            };
+            let names: Vec<String> = self.parameter_views.iter().enumerate().filter_map(at_bound).collect();
+            outputs.push(self.event(
+                time_ns,
+                EventKind::Unidentified,
+                "parameters kept at their bounds",
+                &format!("the estimate left its bounds: {}", names.join(", ")),
+            ));
+        }
+        self.clipped = clips;
     }
 
     /// Tells what changed for a channel, as an event and on its topic.

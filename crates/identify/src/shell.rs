@@ -4,9 +4,9 @@ use crate::error::IdentifyError;
 use crate::identification::{Identification, Input, Output};
 use crate::pool::FilterPool;
 use spandrel_bus::{
-    Bus, Delivery, Description, DisplayPublisher, EstimateBlock, Event, EventKind, FrameBlock, Keys, LatestPublisher,
-    LiveToken, Name, NoiseDisplay, NumberedPublisher, NumberedStream, OutlierDisplay, ParameterDisplay,
-    ProgressPublisher, Service, Start, Status, Stream, StreamSettings, StreamState,
+    Bus, BusError, Delivery, Description, DisplayPublisher, EstimateBlock, Event, EventKind, FrameBlock, Keys,
+    LatestPublisher, LiveToken, Message, Name, NoiseDisplay, NumberedPublisher, NumberedStream, OutlierDisplay,
+    ParameterDisplay, ProgressPublisher, Service, Start, Status, Stream, StreamSettings, StreamState,
 };
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
@@ -192,17 +192,17 @@ impl IdentifyService {
             }
             Output::Parameter(display) => {
                 if let Some(publisher) = self.parameters.get(&display.parameter) {
-                    publisher.put(&display).await?;
+                    show(publisher, &display).await?;
                 }
             }
             Output::Noise(display) => {
                 if let Some(publisher) = self.noise.get(&display.name) {
-                    publisher.put(&display).await?;
+                    show(publisher, &display).await?;
                 }
             }
             Output::Outliers(display) => {
                 if let Some(publisher) = self.outliers.get(&display.channel) {
-                    publisher.put(&display).await?;
+                    show(publisher, &display).await?;
                 }
             }
             Output::Event(event) => {
@@ -230,6 +230,17 @@ impl IdentifyService {
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
         Ok(self.status.put(&status).await?)
+    }
+}
+
+/// Puts a message for people; one that holds no numbers is told of and left out, the service goes on.
+async fn show<M: Message>(publisher: &DisplayPublisher<M>, message: &M) -> Result<(), BusError> {
+    match publisher.put(message).await {
+        Err(error @ BusError::Encode { .. }) => {
+            warn!(%error, "not shown");
+            Ok(())
+        }
+        result => result,
     }
 }
 

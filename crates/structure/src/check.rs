@@ -115,7 +115,7 @@ impl Structure {
         let information = Information::expected(self, frames, seed);
         let identification = information.and_then(|information| self.identification(&information, frames));
         let time_step = self.time_step(modes.as_ref());
-        let findings = find(identification.as_ref(), &time_step);
+        let findings = find(identification.as_ref(), &time_step, self.band_limit.map(|limit| limit.frequency_hz));
         CheckReport {
             structure: self.name.clone(),
             modes: modes.map(|modes| self.mode_reports(&modes)).unwrap_or_default(),

@@ -85,7 +85,7 @@ impl<'t> StructureFile<'t> {
         let excitations =
             excitation::read_excitations(&mut file, &excitation::Context { rate_hz: head.rate_hz, system, channels });
         let (declared, parameters) = parameter::read_parameters(&mut file, system, damping.as_ref());
-        let mut plan = filter::read_filter(file.table("filter"));
+        let mut plan = filter::read_filter(file.table("filter"), head.rate_hz);
         plan.outliers = outliers::read_outliers(file.table("outliers"));
         let mut noise_levels = read_noise_levels(&file, &nodes.channels, &excitations);
         for level in &mut noise_levels {
@@ -133,7 +133,7 @@ fn read_head(file: &mut Section<'_>) -> Head {
     let Some(mut section) = file.required_table("structure") else { return head };
     head.name = section.required_name("name").map(Spanned::into_inner);
     head.description = section.text("description").map(Spanned::into_inner).unwrap_or_default();
-    head.rate_hz = section.required_number("sampling-rate-hz", Allowed::POSITIVE).map(Spanned::into_inner);
+    head.rate_hz = section.required_number("sampling-rate-hz", Allowed::RATE).map(Spanned::into_inner);
     head.display_rate_hz = section.number_or("display-rate-hz", Allowed::POSITIVE, DISPLAY_RATE_HZ);
     section.finish();
     head

@@ -22,6 +22,12 @@ impl Allowed {
     pub(crate) const NOT_NEGATIVE: Self = Self { low: Bound::Included(0.0), high: Bound::Unbounded };
     /// Above 0 and below 1.
     pub(crate) const INSIDE_UNIT: Self = Self { low: Bound::Excluded(0.0), high: Bound::Excluded(1.0) };
+    /// Rates of frames (Hz): what the bus carries, and no faster than structures can move.
+    pub(crate) const RATE: Self = Self { low: Bound::Included(1e-3), high: Bound::Included(20_000.0) };
+    /// Standard deviations whose squares, sums and ratios are all numbers.
+    pub(crate) const DEVIATION: Self = Self { low: Bound::Included(1e-12), high: Bound::Included(1e12) };
+    /// Standard deviations of ratios.
+    pub(crate) const RATIO_DEVIATION: Self = Self { low: Bound::Included(1e-9), high: Bound::Included(1e6) };
     /// From 0, below 1.
     pub(crate) const SHARE: Self = Self { low: Bound::Included(0.0), high: Bound::Excluded(1.0) };
 

@@ -121,18 +121,6 @@ fn without_parameters_and_fading_it_is_the_kalman_filter() {
 }
 
 #[test]
-fn fading_by_one_is_no_fading_to_the_bit() {
-    // ch2 §5 check 3
-    let mut plain = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
-    let mut faded = settings();
-    faded.fading = FadingFactor::new(1.0).unwrap();
-    let mut faded = ExtendedKalmanFilter::new(two_oscillators(), faded).unwrap();
-    run(&mut plain, 0..200);
-    run(&mut faded, 0..200);
-    assert_eq!(plain.state(), faded.state());
-}
-
-#[test]
 fn joseph_form_agrees_with_the_symmetric_form() {
     // ch2 §5 check 1
     let mut joseph = settings();
@@ -404,4 +392,41 @@ fn screened_filter_resumes_to_the_bit() {
         run(&mut resumed, stop..600);
         assert_eq!(unbroken.state(), resumed.state(), "stopped at {stop}");
     }
+}
+
+#[test]
+fn limits_that_exclude_everything_are_refused() {
+    for limit in [1.0, f64::NAN] {
+        let mut settings = settings();
+        settings.lower[2] = limit;
+        settings.upper[2] = 0.5;
+        let error = ExtendedKalmanFilter::new(two_oscillators(), settings).unwrap_err();
+        assert!(error.to_string().contains("lower limit of the state"), "{error}");
+    }
+}
+
+#[test]
+fn restart_in_mid_motion_does_not_assume_rest() {
+    let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+    run(&mut filter, 0..400);
+    let motion: Vec<f64> = filter.mean().iter().copied().collect();
+    filter.restart();
+    assert!(filter.mean().iter().all(|mean| *mean == 0.0));
+    let prior = settings().prior_std[0].powi(2);
+    assert!((0..4).all(|j| filter.covariance()[(j, j)] > prior), "{motion:?}");
+}
+
+#[test]
+fn innovation_covariance_that_is_singular_is_mended_by_jitter() {
+    // two channels that see the same thing without noise: S has rank 1
+    let mut model = two_oscillators();
+    model.observation = DMatrix::from_row_slice(2, 4, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
+    let mut settings = settings();
+    settings.noise.sensors.fill(0.0);
+    let mut filter = ExtendedKalmanFilter::new(model, settings).unwrap();
+    for k in 0..50 {
+        let z = 0.01 * f64::from(k).sin();
+        filter.step(Frame { observations: &[z, z], excitation: &[0.0] }).unwrap();
+    }
+    assert!(filter.mean().iter().all(|mean| mean.is_finite()));
 }

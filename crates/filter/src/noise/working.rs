@@ -88,7 +88,9 @@ impl NoiseState {
             limited |= step[l] > upward || step[l] < -LARGEST_LOGARITHMIC_STEP;
             candidate[l] = self.mean[l] * step[l].clamp(-LARGEST_LOGARITHMIC_STEP, upward).exp();
         }
-        self.limited += u64::from(limited);
+        if self.phase == super::NoisePhase::Working {
+            self.limited += u64::from(limited);
+        }
         objective.scratch.step = step;
         true
     }

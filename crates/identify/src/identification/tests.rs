@@ -179,6 +179,81 @@ fn level_that_is_never_known_is_told_once() {
     assert_eq!(estimates(&outputs)[8999].flags.phase, Phase::Training);
 }
 
+/// Frames of a changed demo, in one block.
+fn of_text(change: impl Fn(String) -> String, count: usize) -> (Structure, FrameBlock) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
+    let text = change(std::fs::read_to_string(&path).unwrap());
+    let structure = Structure::parse(&text, &path).unwrap();
+    let mut block = frames(1);
+    block.values = structure.simulator(5).take(count).flat_map(|frame| frame.values).collect();
+    (structure, block)
+}
+
+fn identified(structure: &Structure, block: FrameBlock) -> Vec<Output> {
+    let mut core = Identification::new(structure, "identify").unwrap();
+    let mut outputs = Vec::new();
+    core.handle(Input::Frames(block), &mut outputs);
+    outputs
+}
+
+#[test]
+fn noise_that_keeps_disagreeing_goes_back_to_training_and_is_told() {
+    // the floors become a hundred times noisier at 40 s; the published rule cannot follow by itself
+    let (structure, mut block) =
+        of_text(|text| text.replace("[filter]", "[filter]\nnoise-rule = \"published\""), 12_000);
+    for (k, frame) in block.values.chunks_exact_mut(6).enumerate().skip(4000) {
+        for (c, value) in frame.iter_mut().enumerate().skip(1) {
+            *value += 0.5 * f64::sin((k * (7 * c + 3)) as f64 * 1.7);
+        }
+    }
+    let outputs = identified(&structure, block);
+    let told = events(&outputs);
+    let back = told.iter().find(|event| event.what == "noise levels back in training").expect("the event");
+    assert!(back.time_ns > 40_000_000_000 && back.kind == EventKind::Calibration);
+}
+
+#[test]
+fn parameters_at_their_bounds_are_told_once() {
+    let (structure, block) = of_text(
+        |text| text.replace("std = 0.2", "std = 0.2\nbounds = [0.9, 1.2]").replace("at-s = 60", "at-s = 20"),
+        4000,
+    );
+    let outputs = identified(&structure, block);
+    let told: Vec<_> = events(&outputs).into_iter().filter(|e| e.what == "parameters kept at their bounds").collect();
+    assert!(told.iter().any(|event| event.why.contains("storey-2") && event.time_ns > 20_000_000_000), "{told:?}");
+    assert!(told.len() < 40, "{} times", told.len());
+}
+
+#[test]
+fn long_stretch_without_any_channel_neither_diverges_nor_spoils_the_parameters() {
+    let (structure, mut block) = of_text(|text| text.replace("half-life-s = 10", "half-life-s = 2"), 12_000);
+    for value in &mut block.values[3000 * 6..10_000 * 6] {
+        *value = f64::NAN;
+    }
+    let outputs = identified(&structure, block);
+    let estimates = estimates(&outputs);
+    assert!(estimates.iter().all(|estimate| !estimate.flags.restarted));
+    let truth = [1.0, 0.85, 1.0, 1.0, 1.0];
+    for (mean, truth) in estimates[11_999].mean.iter().zip(truth) {
+        assert!((mean - truth).abs() < 0.03, "{:?}", estimates[11_999].mean);
+    }
+}
+
+#[test]
+fn diverged_filter_finds_the_parameters_again_in_mid_motion() {
+    let (structure, mut block) = of_text(|text| text.replace("at-s = 60", "at-s = 600"), 9000);
+    for value in &mut block.values[4000 * 6 + 1..4000 * 6 + 6] {
+        *value = 1e200;
+    }
+    let outputs = identified(&structure, block);
+    let estimates = estimates(&outputs);
+    assert!(estimates[4000].flags.restarted);
+    assert_eq!(estimates.iter().filter(|estimate| estimate.flags.restarted).count(), 1);
+    for mean in &estimates[8999].mean {
+        assert!((mean - 1.0).abs() < 0.02, "{:?}", estimates[8999].mean);
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 

@@ -76,6 +76,11 @@ pub enum Finding {
         /// How many times faster than its half-life it moves.
         haste: f64,
     },
+    /// The data are limited to a band, which the analysis does not know of.
+    BandLimited {
+        /// Corner frequency (Hz).
+        frequency_hz: f64,
+    },
     /// The highest frequency of the model is so high that each time step is cut.
     SubstepsNeeded {
         /// Substeps of each step.
@@ -96,7 +101,9 @@ impl Finding {
             | Self::LevelConfounded { adapted: true, .. }
             | Self::SlowToSettle { .. }
             | Self::HastyLevel { .. } => Severity::Warning,
-            Self::LevelConfounded { adapted: false, .. } | Self::SubstepsNeeded { .. } => Severity::Note,
+            Self::LevelConfounded { adapted: false, .. } | Self::BandLimited { .. } | Self::SubstepsNeeded { .. } => {
+                Severity::Note
+            }
         }
     }
 }
@@ -138,6 +145,11 @@ impl fmt::Display for Finding {
                 "the level of {level} would be adapted {haste:.0} times faster than its half-life says: give a \
                  noise-half-life-s that much longer, or state the level"
             ),
+            Self::BandLimited { frequency_hz } => write!(
+                f,
+                "the deviations are those of the whole band: above the declared limit of {frequency_hz} Hz the data are cut off, \
+                 and what remains holds less"
+            ),
             Self::SubstepsNeeded { substeps, highest_frequency_hz } => write!(
                 f,
                 "each time step is cut into {substeps} substeps, because the model reaches {highest_frequency_hz:.1} Hz: \
@@ -148,11 +160,18 @@ impl fmt::Display for Finding {
 }
 
 /// Collects the findings, warnings first.
-pub(super) fn find(identification: Option<&IdentificationReport>, time_step: &TimeStepReport) -> Vec<Finding> {
+pub(super) fn find(
+    identification: Option<&IdentificationReport>,
+    time_step: &TimeStepReport,
+    band_limit_hz: Option<f64>,
+) -> Vec<Finding> {
     let mut findings = match identification {
         None => vec![Finding::NotObservable],
         Some(identification) => of_identification(identification),
     };
+    if let Some(frequency_hz) = band_limit_hz {
+        findings.push(Finding::BandLimited { frequency_hz });
+    }
     if time_step.substeps > 1 {
         let TimeStepReport { substeps, highest_frequency_hz, .. } = *time_step;
         findings.push(Finding::SubstepsNeeded { substeps, highest_frequency_hz });

@@ -79,8 +79,8 @@ fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<Ex
 
 /// Reads the level of one sample, given as such or as the intensity `S₀` of a white process: `σ² = 2π S₀ / Δt`.
 fn read_std(section: &mut Section<'_>, rate_hz: Option<f64>) -> Option<f64> {
-    let std = section.number("std", Allowed::POSITIVE);
-    let intensity = section.number("spectral-intensity", Allowed::POSITIVE);
+    let std = section.number("std", Allowed::DEVIATION);
+    let intensity = section.number("spectral-intensity", Allowed::DEVIATION);
     if section.contains("std") == section.contains("spectral-intensity") {
         let found = if section.contains("std") { "is given beside spectral-intensity" } else { "is missing" };
         let allowed =

@@ -10,16 +10,19 @@ const NOISE_RULES: [(&str, NoiseRule); 3] =
 
 const INPUT_HOLDS: [(&str, InputHold); 2] = [("zero-order", InputHold::Zero), ("first-order", InputHold::First)];
 
-/// Reads `[filter]`; a missing table is one without keys.
-pub(super) fn read_filter(section: Option<Section<'_>>) -> FilterPlan {
+/// A shorter half-life forgets everything before it could tell anything.
+const LEAST_HALF_LIFE_STEPS: f64 = 10.0;
+
+/// Reads `[filter]`; a missing table is one without keys. `rate_hz` is the structure's.
+pub(super) fn read_filter(section: Option<Section<'_>>, rate_hz: Option<f64>) -> FilterPlan {
     let mut plan = FilterPlan::default();
     let Some(mut section) = section else { return plan };
-    plan.half_life_s = section.number_or("half-life-s", Allowed::POSITIVE, plan.half_life_s);
+    plan.half_life_s = read_half_life(&mut section, "half-life-s", rate_hz).unwrap_or(plan.half_life_s);
     if let Some(rule) = section.choice("noise-rule", &NOISE_RULES) {
         plan.noise_rule = rule.into_inner();
     }
     // one memory for both unless the file has two, as in the source
-    plan.noise_half_life_s = section.number_or("noise-half-life-s", Allowed::POSITIVE, plan.half_life_s);
+    plan.noise_half_life_s = read_half_life(&mut section, "noise-half-life-s", rate_hz).unwrap_or(plan.half_life_s);
     plan.noise_prior_std = section.number_or("noise-prior-std", Allowed::POSITIVE, plan.noise_prior_std);
     plan.noise_floor = section.number_or("noise-floor", Allowed::NOT_NEGATIVE, plan.noise_floor);
     plan.annealing = Annealing {
@@ -34,6 +37,19 @@ pub(super) fn read_filter(section: Option<Section<'_>>) -> FilterPlan {
     plan.velocity_std_m_per_s = section.number_or("velocity-std-m-per-s", Allowed::POSITIVE, plan.velocity_std_m_per_s);
     section.finish();
     plan
+}
+
+/// Reads a half-life (s) of at least some time steps.
+fn read_half_life(section: &mut Section<'_>, key: &'static str, rate_hz: Option<f64>) -> Option<f64> {
+    let half_life = section.number(key, Allowed::POSITIVE)?;
+    let least_s = LEAST_HALF_LIFE_STEPS / rate_hz?;
+    if *half_life.get_ref() < least_s {
+        let found = format!("is {}", half_life.get_ref());
+        let allowed = format!("must be at least {LEAST_HALF_LIFE_STEPS} time steps, {least_s} s");
+        section.diagnostics().report(half_life.span(), section.key(key), found, allowed);
+        return None;
+    }
+    Some(half_life.into_inner())
 }
 
 /// Orders of the band limit: pairs of poles, and more of them delay and ring without filtering better.

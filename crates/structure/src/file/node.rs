@@ -72,7 +72,7 @@ fn read_channel(mut section: Section<'_>, system: Option<&LinearSystem>) -> Opti
     let name = section.required_name("name");
     let quantity = section.required_choice("quantity", &Quantity::WORDS);
     let unit = section.text("unit");
-    let noise_std = section.required_number("noise-std", Allowed::POSITIVE);
+    let noise_std = section.required_number("noise-std", Allowed::DEVIATION);
     let noise_group = section.name("noise-group");
     let adapts_noise = section.flag_or("adapt-noise", false);
     let range = section.number("range", Allowed::POSITIVE);

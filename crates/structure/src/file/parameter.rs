@@ -65,7 +65,7 @@ fn read_parameter(
     let name = section.required_name("name");
     let what = section.required_choice("scales", &WHAT);
     let mean = section.number_or("mean", Allowed::POSITIVE, 1.0);
-    let std = section.number("std", Allowed::POSITIVE);
+    let std = section.number("std", Allowed::RATIO_DEVIATION);
     let bounds = read_bounds(&mut section, mean);
     let what = what.map(Spanned::into_inner);
     let default_std = match what {
