@@ -4,7 +4,9 @@
 //! obey `θ̇ = G w`, in discrete time `θ_k = θ_{k−1} + G w_{k−1}` with a diagonal `G`. Large entries of `G` make the
 //! estimate follow recent data, small ones let it remember.
 
-use super::model::{DifferenceWorkspace, Interval, ParticleModel, difference_step, difference_to, reflect};
+use super::model::{
+    DIFFERENCE_STEP, DifferenceWorkspace, Interval, ParticleModel, central_differences, difference_to, reflect,
+};
 use crate::error::FilterError;
 use nalgebra::DMatrix;
 
@@ -205,39 +207,28 @@ impl<S: ContinuousSystem> ParticleModel for Drifting<S> {
         jacobian: &mut DMatrix<f64>,
         work: &mut DifferenceWorkspace,
     ) {
-        let DifferenceWorkspace { moved, disturbance, lower } = work;
-        disturbance.fill(0.0);
-        let (mechanical, q) = (self.system.mechanical_len(), lower.len());
         if interval.previous.is_none() {
             jacobian.fill(0.0); // nothing moves before the first frame
             self.observe(interval, state, output);
             return;
         }
-        let integrated_once = self.increment_time == IncrementTime::End;
-        if integrated_once {
-            moved.copy_from_slice(state);
-            self.propagate(interval, disturbance, moved);
+        if self.increment_time == IncrementTime::Start {
+            central_differences(self, interval, state, output, jacobian, work);
+            return;
         }
+        let DifferenceWorkspace { moved, disturbance, lower } = work;
+        disturbance.fill(0.0);
+        moved.copy_from_slice(state);
+        self.propagate(interval, disturbance, moved);
+        let (mechanical, q) = (self.system.mechanical_len(), lower.len());
         for j in 0..disturbance.len() {
-            for (side, out) in [(-difference_step(), lower.as_mut_slice()), (difference_step(), &mut *output)] {
-                if integrated_once {
-                    let parameter = moved[mechanical + j];
-                    moved[mechanical + j] += self.drift_std[j] * side;
-                    self.observe(interval, moved, out);
-                    moved[mechanical + j] = parameter;
-                } else {
-                    disturbance[j] = side;
-                    moved.copy_from_slice(state);
-                    self.propagate(interval, disturbance, moved);
-                    self.observe(interval, moved, out);
-                    disturbance[j] = 0.0;
-                }
+            let parameter = moved[mechanical + j];
+            for (side, out) in [(-DIFFERENCE_STEP, lower.as_mut_slice()), (DIFFERENCE_STEP, &mut *output)] {
+                moved[mechanical + j] = parameter + self.drift_std[j] * side;
+                self.observe(interval, moved, out);
             }
+            moved[mechanical + j] = parameter;
             difference_to(output, lower, &mut jacobian.as_mut_slice()[j * q..(j + 1) * q]);
-        }
-        if !integrated_once {
-            moved.copy_from_slice(state);
-            self.propagate(interval, disturbance, moved);
         }
         self.observe(interval, moved, output);
     }

@@ -6,7 +6,7 @@
 use nalgebra::DMatrix;
 
 /// Half the width of the central differences for `∂y/∂w`, in standard deviations of the disturbance.
-const DIFFERENCE_STEP: f64 = 1e-2;
+pub(super) const DIFFERENCE_STEP: f64 = 1e-2;
 
 /// The input over one time step, as far as it is measured; NaN marks a missing sample.
 #[derive(Debug, Clone, Copy)]
@@ -19,7 +19,7 @@ pub struct Interval<'a> {
     pub mean_square: &'a [f64],
 }
 
-/// A system in the form of §3.3 of the notes on the source: the random part of a step is a standard Gaussian disturbance.
+/// A system whose steps are random by a standard Gaussian disturbance alone.
 ///
 /// Sampling in the space of the disturbance needs no density of the state, which does not exist where only parameters are
 /// disturbed. Every worker thread has its own copy of a model; `&mut self` is for scratch space only, and what a call
@@ -65,22 +65,34 @@ pub trait ParticleModel: Clone + Send {
         jacobian: &mut DMatrix<f64>,
         work: &mut DifferenceWorkspace,
     ) {
-        let DifferenceWorkspace { moved, disturbance, lower } = work;
-        disturbance.fill(0.0);
-        for j in 0..disturbance.len() {
-            for (side, out) in [(-DIFFERENCE_STEP, lower.as_mut_slice()), (DIFFERENCE_STEP, &mut *output)] {
-                disturbance[j] = side;
-                moved.copy_from_slice(state);
-                self.propagate(interval, disturbance, moved);
-                self.observe(interval, moved, out);
-            }
-            disturbance[j] = 0.0;
-            difference_to(output, lower, &mut jacobian.as_mut_slice()[j * lower.len()..(j + 1) * lower.len()]);
-        }
-        moved.copy_from_slice(state);
-        self.propagate(interval, disturbance, moved);
-        self.observe(interval, moved, output);
+        central_differences(self, interval, state, output, jacobian, work);
     }
+}
+
+/// Writes output and `J` as [`ParticleModel::linearise`] does by default.
+pub(super) fn central_differences(
+    model: &mut impl ParticleModel,
+    interval: Interval<'_>,
+    state: &[f64],
+    output: &mut [f64],
+    jacobian: &mut DMatrix<f64>,
+    work: &mut DifferenceWorkspace,
+) {
+    let DifferenceWorkspace { moved, disturbance, lower } = work;
+    disturbance.fill(0.0);
+    for j in 0..disturbance.len() {
+        for (side, out) in [(-DIFFERENCE_STEP, lower.as_mut_slice()), (DIFFERENCE_STEP, &mut *output)] {
+            disturbance[j] = side;
+            moved.copy_from_slice(state);
+            model.propagate(interval, disturbance, moved);
+            model.observe(interval, moved, out);
+        }
+        disturbance[j] = 0.0;
+        difference_to(output, lower, &mut jacobian.as_mut_slice()[j * lower.len()..(j + 1) * lower.len()]);
+    }
+    moved.copy_from_slice(state);
+    model.propagate(interval, disturbance, moved);
+    model.observe(interval, moved, output);
 }
 
 /// Writes one column of `J` from the outputs on both sides.
@@ -88,11 +100,6 @@ pub(super) fn difference_to(upper: &[f64], lower: &[f64], column: &mut [f64]) {
     for (entry, (upper, lower)) in column.iter_mut().zip(upper.iter().zip(lower)) {
         *entry = (upper - lower) / (2.0 * DIFFERENCE_STEP);
     }
-}
-
-/// Returns the displacement of one disturbance from zero on each side of a central difference.
-pub(super) fn difference_step() -> f64 {
-    DIFFERENCE_STEP
 }
 
 /// Scratch space of the central differences, made once.

@@ -65,7 +65,7 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     /// Goes back to the prior.
     ///
     /// # Errors
-    /// When the prior does not fit any more, which it always does.
+    /// None for a filter that could be made: those of its parts are passed on.
     pub fn restart(&mut self) -> Result<(), FilterError> {
         self.kalman.restart();
         self.warming = self.warm_steps > 0;
