@@ -48,4 +48,16 @@ pub enum FilterError {
         /// Its variance.
         variance: f64,
     },
+    /// No particle explains the datum, or none has a finite state; the filter must be restarted.
+    #[error("none of {particles} particles has any weight left")]
+    Depleted {
+        /// How many there are.
+        particles: usize,
+    },
+    /// The threads of a particle filter could not be started.
+    #[error("threads of the particle filter did not start: {reason}")]
+    Threads {
+        /// What the system said.
+        reason: String,
+    },
 }

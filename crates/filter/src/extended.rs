@@ -86,7 +86,7 @@ impl FilterSettings {
         }
     }
 
-    fn check(&self, model: &(impl ProcessModel + ObservationModel)) -> Result<(), FilterError> {
+    pub(crate) fn check(&self, model: &(impl ProcessModel + ObservationModel)) -> Result<(), FilterError> {
         let n = model.state_len();
         let vectors = [
             ("prior mean", self.prior_mean.len()),
@@ -388,6 +388,16 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// Returns the state for a checkpoint.
     pub fn state(&self) -> &FilterState {
         &self.state
+    }
+
+    /// Returns the known excitation of the last frame (N_f), NaN where it was missing; zero before the first.
+    pub(crate) fn last_excitation(&self) -> &DVector<f64> {
+        &self.state.last_excitation
+    }
+
+    /// Returns what the last frame says of its unknown excitation, for models with a direct term.
+    pub(crate) fn excitation_posterior(&self) -> Option<&ExcitationPosterior> {
+        self.state.posterior.as_ref()
     }
 
     /// Takes the state of a checkpoint; the next step gives the same bits as if the filter had never stopped.

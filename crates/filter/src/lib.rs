@@ -13,6 +13,7 @@
 //! - [`update`]: the forms of the measurement update
 //! - [`extended`]: the adaptive extended Kalman filter, the chain of these stages
 //! - [`kalman`]: the plain Kalman filter of a known linear system
+//! - [`particle`]: the particle filter, for distributions that are not Gaussian
 //! - [`band_limit`]: the low-pass that is the same on every channel
 //!
 //! This room knows nothing of structures or of the network; for a filter of a structure see `spandrel-structure`.
@@ -28,6 +29,7 @@ pub mod fading;
 pub mod kalman;
 pub mod noise;
 pub mod outlier;
+pub mod particle;
 pub mod update;
 
 pub use band_limit::BandLimit;
@@ -39,4 +41,9 @@ pub use kalman::{KalmanFilter, LinearModel};
 pub use model::{ObservationModel, ProcessModel};
 pub use noise::{NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget};
 pub use outlier::{ChannelScreen, OutlierChange, OutlierSettings, OutlierState, OutlierTraining, Verdict};
+pub use particle::{
+    ContinuousSystem, DifferenceWorkspace, Drifting, ExcitedSystem, GaussianStart, ImportanceDensity, IncrementTime,
+    Interval, ParticleFilter, ParticleModel, ParticleSettings, ParticleState, ParticleStep, Resampling, WarmStartState,
+    WarmStartedParticleFilter,
+};
 pub use update::CovarianceForm;

@@ -1,0 +1,450 @@
+//! The particle filter: the distribution of state, parameters and noise levels carried by weighted samples.
+//!
+//! Source: Ching, Beck, Porter & Shaikhutdinov (2006), real-time Bayesian estimation of uncertain dynamical systems. Neither
+//! linearity nor a Gaussian shape is needed, at the cost of `N` model integrations a step; where the extended Kalman filter
+//! does its work well, it is hundreds of times cheaper.
+//!
+//! Notation: particles `x^i` (n) with weights `W^i` (normalised), `i = 1..N`. One step, in the order of [`ParticleFilter::step`]:
+//!
+//! - draw anew if the coefficient of variation of the weights is above its threshold; with `N_eff = 1/Σ W²`,
+//!   `N_eff = N/(1 + c.o.v.²)`
+//! - draw `x_k^i` from the importance density around `f(x_{k−1}^i, u, ·)`, that of one extended Kalman step or the prior
+//! - `ω^i = W^i p(ŷ_k | x_k^i) p(x_k^i | x_{k−1}^i) / p_G(x_k^i | x_{k−1}^i, ŷ_k)`, equation (10), in logarithms
+//! - `ln p(ŷ_k | Ŷ_{k−1}) = ln Σ ω^i`, then `W^i = ω^i / Σ ω^j`
+//! - estimates are weighted sums over the particles
+//!
+//! Resampling comes at the beginning of the next step in place of the end of this one, so that estimates are always those of
+//! the weighted sample, which are more accurate. Every particle draws from a stream of its own that is set by seed, step and
+//! number: neither threads nor a checkpoint change a bit.
+
+mod drifting;
+mod estimates;
+mod excited;
+mod model;
+mod moments;
+mod resampling;
+mod settings;
+mod warm_started;
+mod worker;
+
+pub use drifting::{ContinuousSystem, Drifting, IncrementTime};
+pub use excited::ExcitedSystem;
+pub use model::{DifferenceWorkspace, Interval, ParticleModel};
+pub use settings::{ImportanceDensity, ParticleSettings, Resampling};
+pub use warm_started::{WarmStartState, WarmStartedParticleFilter};
+
+use crate::error::FilterError;
+use crate::extended::Frame;
+use moments::SquareRoot;
+use nalgebra::{DMatrix, DVector};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use worker::Worker;
+
+/// Random words that one particle may use in one step: far more than any disturbance needs.
+const WORDS_PER_STEP_LOG2: u32 = 20;
+
+/// The Gaussian from which the particles are drawn at first.
+///
+/// With accurate sensors a wide one leaves few particles alive; start from the estimate of another filter then.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GaussianStart {
+    /// Mean (n).
+    pub mean: DVector<f64>,
+    /// Covariance (n × n).
+    pub covariance: DMatrix<f64>,
+    /// The input at the instant of this Gaussian (p), one step before the first frame; `None` if it is for the instant of
+    /// the first frame itself.
+    pub previous_input: Option<DVector<f64>>,
+}
+
+/// What one step of a particle filter found; estimates are read from the filter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ParticleStep {
+    /// `ln p(ŷ_k | Ŷ_{k−1})`, zero if no channel was there.
+    pub log_evidence: f64,
+    /// Channels that took part; 0 makes the step a prediction.
+    pub used_channels: usize,
+    /// `N_eff = 1/Σ W²` after this frame.
+    pub effective_size: f64,
+    /// Standard deviation of the weights over their mean after this frame.
+    pub coefficient_of_variation: f64,
+    /// The particles were drawn anew before this frame.
+    pub resampled: bool,
+}
+
+/// The whole state of a particle filter between two steps: what a checkpoint holds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ParticleState {
+    /// x (n × N), a column a particle
+    states: Vec<f64>,
+    /// ln W, minus infinity for a particle that is out (N)
+    log_weights: Vec<f64>,
+    /// the particle at the start from which each descends (N)
+    ancestors: Vec<u32>,
+    steps: u64,
+    seed: u64,
+    /// the coming frame finds the particles at its own instant: there is no input before it
+    fresh: bool,
+    /// the input of the last frame, NaN where it was missing (p)
+    previous_input: DVector<f64>,
+    /// running mean square of the input (p)
+    input_mean_square: DVector<f64>,
+    log_evidence: f64,
+}
+
+/// A worker with its particles and their weights, and its number.
+type Share<'a, M> = (usize, ((&'a mut Worker<M>, &'a mut [f64]), &'a mut [f64]));
+
+/// What a stream of random numbers is for.
+#[derive(Debug, Clone, Copy)]
+enum Purpose {
+    Start,
+    Disturbance,
+    Resampling,
+    Kernel,
+}
+
+/// A particle filter of one model.
+///
+/// One call of [`ParticleFilter::step`] is one time step. With one thread it allocates nothing; the result is the same to
+/// the bit with any number of threads.
+#[derive(Debug, Clone)]
+pub struct ParticleFilter<M> {
+    settings: ParticleSettings,
+    start: GaussianStart,
+    state: ParticleState,
+    workers: Vec<Worker<M>>,
+    pool: Option<Arc<rayon::ThreadPool>>,
+    /// W (N)
+    weights: Vec<f64>,
+    mean: DVector<f64>,
+    std: DVector<f64>,
+    /// scratch: x (n × N), ancestors, an order of the particles, their cumulative weights (N)
+    spare_states: Vec<f64>,
+    spare_ancestors: Vec<u32>,
+    order: Vec<u32>,
+    cumulative: Vec<f64>,
+    covariance: DMatrix<f64>,
+    root: SquareRoot,
+}
+
+impl<M: ParticleModel> ParticleFilter<M> {
+    /// Makes a filter with its particles drawn from `start`.
+    ///
+    /// # Errors
+    /// When a setting lies outside its range, or a size does not fit the model.
+    pub fn new(model: M, settings: ParticleSettings, start: GaussianStart) -> Result<Self, FilterError> {
+        settings.check()?;
+        let (n, p, count) = (model.state_len(), model.input_len(), settings.particles);
+        if n == 0 {
+            return Err(FilterError::Dimension { what: "state of a particle", found: 0, expected: 1 });
+        }
+        check_start(&start, n, p)?;
+        let pool = if settings.threads > 1 {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(settings.threads).build();
+            Some(Arc::new(pool.map_err(|error| FilterError::Threads { reason: error.to_string() })?))
+        } else {
+            None
+        };
+        let worker = Worker::new(model);
+        let mut filter = Self {
+            state: ParticleState {
+                states: vec![0.0; n * count],
+                log_weights: vec![0.0; count],
+                ancestors: vec![0; count],
+                steps: 0,
+                seed: settings.seed,
+                fresh: true,
+                previous_input: DVector::zeros(p),
+                input_mean_square: DVector::zeros(p),
+                log_evidence: 0.0,
+            },
+            workers: vec![worker; settings.threads],
+            pool,
+            weights: vec![0.0; count],
+            mean: DVector::zeros(n),
+            std: DVector::zeros(n),
+            spare_states: vec![0.0; n * count],
+            spare_ancestors: vec![0; count],
+            order: vec![0; count],
+            cumulative: vec![0.0; count],
+            covariance: DMatrix::zeros(n, n),
+            root: SquareRoot::new(n),
+            settings,
+            start,
+        };
+        filter.restart();
+        Ok(filter)
+    }
+
+    /// Draws the particles from the start again: what a filter is left with that has lost them all.
+    pub fn restart(&mut self) {
+        let Self { settings, start, state, workers, root, .. } = self;
+        root.factorise(&start.covariance);
+        let n = start.mean.len();
+        state.steps = 0;
+        state.seed = settings.seed;
+        state.log_evidence = 0.0;
+        state.input_mean_square.fill(0.0);
+        state.fresh = start.previous_input.is_none();
+        if let Some(input) = &start.previous_input {
+            state.previous_input.copy_from(input);
+        }
+        for (i, particle) in state.states.chunks_exact_mut(n).enumerate() {
+            let worker = &mut workers[0];
+            worker.draw_normals(&mut stream(state.seed, 0, i, Purpose::Start));
+            particle.copy_from_slice(start.mean.as_slice());
+            root.add_draw(1.0, &worker.normals, particle);
+            worker.model.confine(particle);
+            state.ancestors[i] = i as u32;
+        }
+        state.log_weights.fill(-(settings.particles as f64).ln());
+        self.summarise();
+    }
+
+    /// Draws the particles from another start, for instance from the estimate of another filter.
+    ///
+    /// # Errors
+    /// When a size does not fit the model, which leaves the filter as it was.
+    pub fn restart_from(&mut self, start: GaussianStart) -> Result<(), FilterError> {
+        check_start(&start, self.mean.len(), self.model().input_len())?;
+        self.start = start;
+        self.restart();
+        Ok(())
+    }
+
+    /// Takes one frame; its excitation is the measured input of the model.
+    ///
+    /// # Errors
+    /// When the frame does not fit the model, which leaves the filter as it was, or when no particle has any weight left
+    /// and the filter must be restarted.
+    pub fn step(&mut self, frame: Frame<'_>) -> Result<ParticleStep, FilterError> {
+        let sizes = [
+            ("observations of a frame", frame.observations.len(), self.model().observation_len()),
+            ("excitation of a frame", frame.excitation.len(), self.model().input_len()),
+        ];
+        for (what, found, expected) in sizes {
+            if found != expected {
+                return Err(FilterError::Dimension { what, found, expected });
+            }
+        }
+        let resampled = self.coefficient_of_variation() > self.settings.resampling_threshold;
+        if resampled {
+            self.resample();
+        }
+        self.advance(frame);
+        let log_evidence = self.normalise()?;
+        self.state.log_evidence += log_evidence;
+        self.remember_input(frame);
+        self.state.steps += 1;
+        self.summarise();
+        if let Some(index) = self.mean.iter().zip(&self.std).position(|(m, s)| !(m.is_finite() && s.is_finite())) {
+            return Err(FilterError::NotFinite { what: "mean or variance of state", index });
+        }
+        Ok(ParticleStep {
+            log_evidence,
+            used_channels: frame.observations.iter().filter(|value| !value.is_nan()).count(),
+            effective_size: self.effective_size(),
+            coefficient_of_variation: self.coefficient_of_variation(),
+            resampled,
+        })
+    }
+
+    /// Returns the model.
+    pub fn model(&self) -> &M {
+        &self.workers[0].model
+    }
+
+    /// Changes the model in every thread alike, for instance its noise levels.
+    pub fn update_model(&mut self, mut change: impl FnMut(&mut M)) {
+        for worker in &mut self.workers {
+            change(&mut worker.model);
+        }
+    }
+
+    /// Returns the settings.
+    pub fn settings(&self) -> &ParticleSettings {
+        &self.settings
+    }
+
+    /// Returns `ln p(Ŷ_k)`, the sum over all frames so far.
+    pub fn log_evidence(&self) -> f64 {
+        self.state.log_evidence
+    }
+
+    /// Returns the number of frames taken.
+    pub fn steps(&self) -> u64 {
+        self.state.steps
+    }
+
+    /// Returns the state for a checkpoint.
+    pub fn state(&self) -> &ParticleState {
+        &self.state
+    }
+
+    /// Takes the state of a checkpoint; the next step gives the same bits as if the filter had never stopped.
+    ///
+    /// # Errors
+    /// When the state does not fit the model or the settings, which leaves the filter as it was.
+    pub fn restore(&mut self, state: ParticleState) -> Result<(), FilterError> {
+        let (n, p, count) = (self.mean.len(), self.model().input_len(), self.settings.particles);
+        let sizes = [
+            ("particles of a checkpoint", state.states.len(), n * count),
+            ("weights of a checkpoint", state.log_weights.len(), count),
+            ("ancestors of a checkpoint", state.ancestors.len(), count),
+            ("input of a checkpoint", state.previous_input.len(), p),
+            ("mean square of the input of a checkpoint", state.input_mean_square.len(), p),
+        ];
+        for (what, found, expected) in sizes {
+            if found != expected {
+                return Err(FilterError::Dimension { what, found, expected });
+            }
+        }
+        self.state = state;
+        self.summarise();
+        Ok(())
+    }
+
+    /// Moves every particle to the frame, and adds the logarithm of its weight's factor.
+    fn advance(&mut self, frame: Frame<'_>) {
+        let Self { settings, state, workers, pool, mean, .. } = self;
+        let ParticleState { states, log_weights, steps, seed, fresh, previous_input, input_mean_square, .. } = state;
+        let interval = Interval {
+            previous: (!*fresh).then_some(previous_input.as_slice()),
+            current: frame.excitation,
+            mean_square: input_mean_square.as_slice(),
+        };
+        let (n, share) = (mean.len(), settings.particles.div_ceil(workers.len()));
+        let (seed, step, density) = (*seed, *steps + 1, settings.density);
+        let run = |(part, ((worker, states), log_weights)): Share<'_, M>| {
+            let particles = states.chunks_exact_mut(n).zip(log_weights);
+            for (i, (particle, log_weight)) in particles.enumerate() {
+                if *log_weight > f64::NEG_INFINITY {
+                    let mut rng = stream(seed, step, part * share + i, Purpose::Disturbance);
+                    *log_weight += worker.advance(density, interval, frame.observations, &mut rng, particle);
+                }
+            }
+        };
+        match pool {
+            None => workers
+                .iter_mut()
+                .zip(states.chunks_mut(n * share))
+                .zip(log_weights.chunks_mut(share))
+                .enumerate()
+                .for_each(run),
+            Some(pool) => pool.install(|| {
+                workers
+                    .par_iter_mut()
+                    .zip(states.par_chunks_mut(n * share))
+                    .zip(log_weights.par_chunks_mut(share))
+                    .enumerate()
+                    .for_each(run);
+            }),
+        }
+    }
+
+    /// Normalises the weights and returns the logarithm of their sum.
+    fn normalise(&mut self) -> Result<f64, FilterError> {
+        let log_weights = &mut self.state.log_weights;
+        let largest = log_weights.iter().fold(f64::NEG_INFINITY, |largest, value| largest.max(*value));
+        if !largest.is_finite() {
+            return Err(FilterError::Depleted { particles: log_weights.len() });
+        }
+        let sum: f64 = log_weights.iter().map(|value| (value - largest).exp()).sum();
+        let log_sum = largest + sum.ln();
+        for value in log_weights {
+            *value -= log_sum;
+        }
+        Ok(log_sum)
+    }
+
+    /// Keeps what the next step needs of this frame's input.
+    fn remember_input(&mut self, frame: Frame<'_>) {
+        let ParticleState { fresh, previous_input, input_mean_square, steps, .. } = &mut self.state;
+        let weight = 1.0 / (*steps as f64 + 1.0);
+        for (mean_square, value) in input_mean_square.iter_mut().zip(frame.excitation) {
+            if !value.is_nan() {
+                *mean_square += weight * (value * value - *mean_square);
+            }
+        }
+        previous_input.copy_from_slice(frame.excitation);
+        *fresh = false;
+    }
+
+    /// Writes weights, mean and deviation for the particles as they are.
+    fn summarise(&mut self) {
+        let Self { state, weights, mean, std, .. } = self;
+        for (weight, value) in weights.iter_mut().zip(&state.log_weights) {
+            *weight = value.exp();
+        }
+        moments::mean_and_std_to(&state.states, weights, mean, std);
+    }
+
+    /// Draws the particles anew with equal weights, and moves them apart by the kernel.
+    fn resample(&mut self) {
+        let kernel = self.settings.kernel;
+        if kernel < 1.0 {
+            moments::covariance_to(&self.state.states, &self.weights, &self.mean, &mut self.covariance);
+            self.root.factorise(&self.covariance);
+        }
+        let Self { settings, state, workers, weights, mean, spare_states, spare_ancestors, order, cumulative, .. } =
+            self;
+        let step = state.steps + 1;
+        let mut rng = stream(state.seed, step, 0, Purpose::Resampling);
+        resampling::draw_indices(settings.resampling, weights, &mut rng, cumulative, order);
+        let n = mean.len();
+        for (i, index) in order.iter().enumerate() {
+            let from = *index as usize;
+            spare_states[i * n..(i + 1) * n].copy_from_slice(&state.states[from * n..(from + 1) * n]);
+            spare_ancestors[i] = state.ancestors[from];
+        }
+        std::mem::swap(spare_states, &mut state.states);
+        std::mem::swap(spare_ancestors, &mut state.ancestors);
+        state.log_weights.fill(-(settings.particles as f64).ln());
+        if kernel < 1.0 {
+            let spread = (1.0 - kernel * kernel).sqrt();
+            let worker = &mut workers[0];
+            for (i, particle) in state.states.chunks_exact_mut(n).enumerate() {
+                worker.draw_normals(&mut stream(state.seed, step, i, Purpose::Kernel));
+                for (value, mean) in particle.iter_mut().zip(mean.iter()) {
+                    *value = mean + kernel * (*value - mean); // x ← m + a (x − m) + √(1 − a²) V^{1/2} z
+                }
+                self.root.add_draw(spread, &worker.normals, particle);
+                worker.model.confine(particle);
+            }
+        }
+    }
+}
+
+/// Returns the stream of one particle at one step: a place in the sequence of the seed that no other draw uses.
+fn stream(seed: u64, step: u64, particle: usize, purpose: Purpose) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream((particle as u64) << 2 | purpose as u64);
+    rng.set_word_pos(u128::from(step) << WORDS_PER_STEP_LOG2);
+    rng
+}
+
+fn check_start(start: &GaussianStart, n: usize, inputs: usize) -> Result<(), FilterError> {
+    let sizes = [
+        ("mean of the start", start.mean.len(), n),
+        ("rows of the covariance of the start", start.covariance.nrows(), n),
+        ("columns of the covariance of the start", start.covariance.ncols(), n),
+        ("input before the start", start.previous_input.as_ref().map_or(inputs, DVector::len), inputs),
+    ];
+    for (what, found, expected) in sizes {
+        if found != expected {
+            return Err(FilterError::Dimension { what, found, expected });
+        }
+    }
+    if let Some(index) = start.mean.iter().position(|value| !value.is_finite()) {
+        return Err(FilterError::NotFinite { what: "mean of the start", index });
+    }
+    if let Some(index) = start.covariance.iter().position(|value| !value.is_finite()) {
+        return Err(FilterError::NotFinite { what: "entry of the covariance of the start", index });
+    }
+    Ok(())
+}
