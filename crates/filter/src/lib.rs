@@ -11,6 +11,7 @@
 //! - [`discretise`]: one time step without inverting the Jacobian
 //! - [`update`]: the forms of the measurement update
 //! - [`extended`]: the adaptive extended Kalman filter, the chain of these stages
+//! - [`steady`]: stationary gain and error covariance of a linear filter, right or wrong
 //! - [`kalman`]: the plain Kalman filter of a known linear system
 //! - [`band_limit`]: the low-pass that is the same on every channel
 //!
@@ -26,6 +27,7 @@ pub mod extended;
 pub mod fading;
 pub mod kalman;
 pub mod noise;
+pub mod steady;
 pub mod update;
 
 pub use band_limit::BandLimit;
