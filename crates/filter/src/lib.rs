@@ -11,6 +11,8 @@
 //! - [`discretise`]: one time step without inverting the Jacobian
 //! - [`update`]: the forms of the measurement update
 //! - [`extended`]: the adaptive extended Kalman filter, the chain of these stages
+//! - [`linear`]: linear models without parameters, also in modal coordinates
+//! - [`constant`]: what such a model computes only once
 //! - [`steady`]: stationary gain and error covariance of a linear filter, right or wrong
 //! - [`kalman`]: the plain Kalman filter of a known linear system
 //! - [`band_limit`]: the low-pass that is the same on every channel
@@ -22,20 +24,24 @@ pub mod error;
 pub mod model;
 
 pub mod band_limit;
+pub mod constant;
 pub mod discretise;
 pub mod extended;
 pub mod fading;
 pub mod kalman;
+pub mod linear;
 pub mod noise;
 pub mod steady;
 pub mod update;
 
 pub use band_limit::BandLimit;
+pub use constant::ConstantTransition;
 pub use discretise::InputHold;
 pub use error::FilterError;
 pub use extended::{Annealing, ExtendedKalmanFilter, FilterSettings, FilterState, Frame, Step};
 pub use fading::FadingFactor;
 pub use kalman::{KalmanFilter, LinearModel};
+pub use linear::{DirectTerm, ModalModel, StateSpace};
 pub use model::{ObservationModel, ProcessModel};
 pub use noise::{NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget};
 pub use update::CovarianceForm;

@@ -25,7 +25,7 @@ fn random_problem() -> (NoiseModel, Objective) {
     };
     let mut objective = Objective::new(4, 3);
     let innovation = DVector::from_row_slice(&[0.8, -0.3, 0.5, 1.1]);
-    objective.set_frame(&model, &known, Some(&h_b), None, 1.0007, &innovation);
+    objective.set_frame(&model, &known, ExcitationPath::Input(&h_b), None, 1.0007, &innovation);
     (model, objective)
 }
 
@@ -80,7 +80,7 @@ fn missing_channel_adds_nothing() {
     let known = DMatrix::identity(4, 4);
     let h_b = DMatrix::from_element(4, 2, 0.5);
     let innovation = DVector::from_row_slice(&[0.8, f64::NAN, 0.5, f64::NAN]);
-    objective.set_frame(&model, &known, Some(&h_b), None, 1.0, &innovation);
+    objective.set_frame(&model, &known, ExcitationPath::Input(&h_b), None, 1.0, &innovation);
     assert_eq!(objective.used_channels(), 2);
     let found = objective.value(&psi);
     // the same frame with two channels only
@@ -120,7 +120,7 @@ fn white_residuals(rule: NoiseRule, seed: u64) -> (f64, f64, u64) {
             let draw: f64 = StandardNormal.sample(&mut rng);
             truth.sqrt() * draw
         });
-        objective.set_frame(&model, &zero, None, None, 1.0, &residual);
+        objective.set_frame(&model, &zero, ExcitationPath::Felt, None, 1.0, &residual);
         if state.update(&model, &settings, &mut objective).training_ended {
             ended = k;
         }
@@ -165,7 +165,7 @@ fn lasting_misfit_sends_the_parameters_back_to_training() {
     let innovation = DVector::repeat(4, 100.0);
     let known = DMatrix::identity(4, 4);
     let restarted = (0..2000).any(|_| {
-        objective.set_frame(&model, &known, None, None, 1.0, &innovation);
+        objective.set_frame(&model, &known, ExcitationPath::Felt, None, 1.0, &innovation);
         state.update(&model, &settings, &mut objective).training_restarted
     });
     assert!(restarted);
