@@ -4,12 +4,16 @@ use crate::noise_level::NoiseSource;
 use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
-    Annealing, FadingFactor, FilterError, FilterSettings, NoiseModel, NoiseParameter, NoiseSettings, NoiseTarget,
+    Annealing, FadingFactor, FilterError, FilterSettings, NoiseModel, NoiseParameter, NoiseRule, NoiseSettings,
+    NoiseTarget,
 };
 use std::f64::consts::PI;
 
 /// Periods of the fundamental mode before the training of the noise levels may end: Huang & Yuen (2023), (3.31).
 const TRAINING_PERIODS: f64 = 10.0;
+
+/// The same for the rule half-or-double: Yuen, Liang & Kuok (2013).
+const HALF_OR_DOUBLE_PERIODS: f64 = 1.0;
 
 /// Training ends without further waiting after this many times its least length: with one level and few channels the
 /// source's own rule may never fire.
@@ -51,10 +55,14 @@ impl Structure {
         Ok(settings)
     }
 
-    /// Returns `INT(10 T/Δt)`, (3.31), with the fundamental period `T` as designed.
+    /// Returns `INT(10 T/Δt)`, (3.31), with the fundamental period `T` as designed; one `T` for half-or-double.
     fn training_steps(&self) -> u64 {
+        let periods = match self.plan.noise_rule {
+            NoiseRule::HalfOrDouble => HALF_OR_DOUBLE_PERIODS,
+            NoiseRule::Fisher | NoiseRule::Published | NoiseRule::Fixed => TRAINING_PERIODS,
+        };
         let first = self.nominal_modes().and_then(|modes| modes.angular_frequencies.first().copied());
-        first.map_or(0, |omega| (TRAINING_PERIODS * 2.0 * PI / omega * self.sampling_rate_hz) as u64)
+        first.map_or(0, |omega| (periods * 2.0 * PI / omega * self.sampling_rate_hz) as u64)
     }
 
     /// Splits the noise levels into what is known and what is adapted.
