@@ -38,8 +38,8 @@ impl DirectTerm {
 /// `z = H y + D f + n` with the point at which it was last asked for.
 #[derive(Debug, Clone)]
 struct LinearObservation {
-    /// `H` (N_0 × n)
-    matrix: DMatrix<f64>,
+    /// `Hᵀ` (n × N_0): its columns are long where those of `H` are short
+    transposed: DMatrix<f64>,
     direct: DirectTerm,
     state: DVector<f64>,
     excitation: DVector<f64>,
@@ -52,7 +52,12 @@ impl LinearObservation {
             check_len("rows of the direct term", direct.nrows(), matrix.nrows())?;
             check_len("columns of the direct term", direct.ncols(), inputs)?;
         }
-        Ok(Self { matrix, direct, state: DVector::zeros(n), excitation: DVector::zeros(inputs) })
+        Ok(Self {
+            transposed: matrix.transpose(),
+            direct,
+            state: DVector::zeros(n),
+            excitation: DVector::zeros(inputs),
+        })
     }
 
     fn linearise(&mut self, state: &[f64], excitation: &[f64]) {
@@ -61,7 +66,9 @@ impl LinearObservation {
     }
 
     fn observe(&self, out: &mut [f64]) {
-        mul_to(&self.matrix, self.state.as_slice(), out);
+        for (entry, row) in out.iter_mut().zip(self.transposed.column_iter()) {
+            *entry = row.dot(&self.state);
+        }
         if let Some(direct) = self.direct.matrix() {
             for (column, known) in direct.column_iter().zip(self.excitation.iter()) {
                 out.iter_mut().zip(column.iter()).for_each(|(entry, weight)| *entry += weight * known);
@@ -70,10 +77,10 @@ impl LinearObservation {
     }
 
     fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
-        let (n, rows) = (self.matrix.ncols(), self.matrix.nrows());
-        for j in 0..columns.ncols() {
-            let column = &columns.as_slice()[j * n..(j + 1) * n];
-            mul_to(&self.matrix, column, &mut out.as_mut_slice()[j * rows..(j + 1) * rows]);
+        for (column, mut target) in columns.column_iter().zip(out.column_iter_mut()) {
+            for (entry, row) in target.iter_mut().zip(self.transposed.column_iter()) {
+                *entry = row.dot(&column);
+            }
         }
     }
 
@@ -165,12 +172,6 @@ impl StateSpace {
     #[must_use]
     pub fn input(&self) -> &DMatrix<f64> {
         &self.input
-    }
-
-    /// Returns `H` (N_0 × n).
-    #[must_use]
-    pub fn observation(&self) -> &DMatrix<f64> {
-        &self.observation.matrix
     }
 }
 
@@ -427,7 +428,7 @@ macro_rules! observe_linearly {
     ($($model:ty),*) => {$(
         impl ObservationModel for $model {
             fn observation_len(&self) -> usize {
-                self.observation.matrix.nrows()
+                self.observation.transposed.ncols()
             }
 
             fn linearise_observation(&mut self, state: &[f64], excitation: &[f64]) {

@@ -4,6 +4,7 @@
 
 pub mod bouc_wen;
 pub mod bridge;
+pub mod tall_building;
 
 use nalgebra::{DMatrix, DVector};
 use rand_chacha::ChaCha8Rng;
