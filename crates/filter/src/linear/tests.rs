@@ -1,4 +1,8 @@
 use super::*;
+use crate::{
+    ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, InputHold, NoiseModel, NoiseParameter, NoiseRule,
+    NoiseSettings, NoiseTarget,
+};
 
 /// Three unequal masses in a row with Rayleigh damping, two forces, absolute accelerations of the first and the last.
 fn matrices() -> ([DMatrix<f64>; 3], DMatrix<f64>, DMatrix<f64>) {
@@ -101,4 +105,117 @@ fn sizes_that_do_not_fit_are_refused() {
     assert!(
         ModalModel::new([&indefinite, &damping, &stiffness], &distribution, &observation, DirectTerm::None).is_err()
     );
+}
+
+/// The same model without its constant transition: discretised anew at every step.
+#[derive(Debug, Clone)]
+struct Stepwise(StateSpace);
+
+impl ProcessModel for Stepwise {
+    fn state_len(&self) -> usize {
+        self.0.state_len()
+    }
+    fn parameter_len(&self) -> usize {
+        0
+    }
+    fn excitation_len(&self) -> usize {
+        self.0.excitation_len()
+    }
+    fn linearise_process(&mut self, state: &[f64], excitation: &[f64]) {
+        self.0.linearise_process(state, excitation);
+    }
+    fn derivative(&self, out: &mut [f64]) {
+        self.0.derivative(out);
+    }
+    fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+        self.0.jacobian_mul(columns, out);
+    }
+    fn excitation_matrix(&self, out: &mut DMatrix<f64>) {
+        self.0.excitation_matrix(out);
+    }
+    fn rate_bound(&self) -> f64 {
+        self.0.rate_bound()
+    }
+}
+
+impl ObservationModel for Stepwise {
+    fn observation_len(&self) -> usize {
+        self.0.observation_len()
+    }
+    fn linearise_observation(&mut self, state: &[f64], excitation: &[f64]) {
+        self.0.linearise_observation(state, excitation);
+    }
+    fn observe(&self, out: &mut [f64]) {
+        ObservationModel::observe(&self.0, out);
+    }
+    fn observation_jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+        self.0.observation_jacobian_mul(columns, out);
+    }
+    fn feedthrough(&self) -> Option<&DMatrix<f64>> {
+        self.0.feedthrough()
+    }
+}
+
+fn settings(model: &impl ProcessModel, rule: NoiseRule, hold: InputHold) -> FilterSettings {
+    let n = model.state_len();
+    let correlated = DMatrix::from_row_slice(2, 2, &[1.0, 0.4, 0.4, 0.7]);
+    let parameter = |name: &str, target, pattern, start: f64| NoiseParameter {
+        name: name.to_owned(),
+        target,
+        pattern,
+        start,
+        start_std: start / 3.0,
+    };
+    let mut noise = NoiseModel::known(DMatrix::identity(2, 2) * 0.1, DMatrix::zeros(2, 2));
+    noise.parameters = vec![
+        parameter("forces", NoiseTarget::Excitation, correlated, 3.0),
+        parameter("sensors", NoiseTarget::Sensors, DMatrix::identity(2, 2), 0.5),
+    ];
+    let mut settings = FilterSettings::new(0.05, DVector::repeat(n, 0.1), DVector::repeat(n, 0.3), noise);
+    settings.fading = FadingFactor::from_half_life(500.0).unwrap();
+    settings.input_hold = hold;
+    settings.noise_settings = NoiseSettings { rule, training_steps: 40, ..NoiseSettings::default() };
+    settings
+}
+
+/// Runs 120 frames with known excitation, and a missing sample of a channel, of the excitation and of everything.
+fn run<M: ProcessModel + ObservationModel>(model: M, settings: FilterSettings) -> ExtendedKalmanFilter<M> {
+    let mut filter = ExtendedKalmanFilter::new(model, settings).unwrap();
+    for k in 0..120 {
+        let t = 0.05 * f64::from(k);
+        let mut observations = [2.0 * (3.0 * t).sin() - 0.4 * (29.0 * t).cos(), (4.1 * t).cos()];
+        let mut excitation = [(2.0 * t).sin(), 0.3 * (7.0 * t).cos()];
+        match k % 17 {
+            3 => observations[1] = f64::NAN,
+            8 => excitation[0] = f64::NAN,
+            13 => observations = [f64::NAN; 2],
+            _ => {}
+        }
+        filter.step(Frame { observations: &observations, excitation: &excitation }).unwrap();
+    }
+    filter
+}
+
+#[test]
+fn constant_transition_gives_what_the_series_gives() {
+    let ([mass, damping, stiffness], distribution, observation) = matrices();
+    let direct = DMatrix::from_row_slice(2, 2, &[0.5, 0.0, 0.0, 2.0]);
+    for direct in [DirectTerm::None, DirectTerm::Known(direct.clone()), DirectTerm::Whole(direct)] {
+        for rule in [NoiseRule::Fixed, NoiseRule::Published, NoiseRule::Fisher, NoiseRule::HalfOrDouble] {
+            for hold in [InputHold::Zero, InputHold::First] {
+                let of = [&mass, &damping, &stiffness];
+                let model = StateSpace::second_order(of, &distribution, observation.clone(), direct.clone()).unwrap();
+                let settings = settings(&model, rule, hold);
+                let constant = run(model.clone(), settings.clone());
+                let stepwise = run(Stepwise(model), settings);
+                let label = format!("{direct:?}, {rule:?}, {hold:?}");
+                let scale = stepwise.mean().amax();
+                assert!((constant.mean() - stepwise.mean()).amax() < 1e-10 * scale, "{label}");
+                let scale = stepwise.covariance().amax();
+                assert!((constant.covariance() - stepwise.covariance()).amax() < 1e-10 * scale, "{label}");
+                let ratio = constant.noise().mean.component_div(&stepwise.noise().mean);
+                assert!(ratio.iter().all(|ratio| (ratio - 1.0).abs() < 1e-9), "{label}");
+            }
+        }
+    }
 }
