@@ -3,7 +3,9 @@
 //!
 //! A system is described by two traits, [`ProcessModel`] (how its state moves) and [`ObservationModel`] (what is observed
 //! of it), whose Jacobians are operators. Frames of samples go in, one call a time step; estimates with covariance come
-//! out. The method is that of Huang & Yuen, *Bayesian Real-Time System Identification* (2023).
+//! out. The method is that of Huang & Yuen, *Bayesian Real-Time System Identification* (2023). A linear model without
+//! parameters makes the filter a plain Kalman filter, whose noise levels can also be estimated by the two-stage rule of
+//! Yuen, Liang & Kuok (2013).
 //!
 //! - [`model`]: the two traits
 //! - [`fading`]: how old data are forgotten

@@ -12,13 +12,12 @@ mod working;
 
 use crate::error::FilterError;
 use crate::fading::FadingFactor;
-use half_or_double::UNCHANGED_STEPS;
+use half_or_double::{MOST_PARAMETERS, UNCHANGED_STEPS};
 use nalgebra::{DMatrix, DVector};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 
-pub(crate) use half_or_double::MOST_PARAMETERS;
 pub(crate) use objective::{ExcitationPath, Objective};
 
 /// Which covariance a noise parameter scales.

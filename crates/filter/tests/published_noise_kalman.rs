@@ -4,7 +4,7 @@
 
 mod systems;
 
-use spandrel_filter::steady::{stationary_error_covariance, stationary_gain};
+use spandrel_filter::steady::{lyapunov_by_doubling, stationary_error_covariance, stationary_gain};
 use spandrel_filter::{ExtendedKalmanFilter, Frame, NoisePhase};
 use systems::tall_building::{
     Case, ErrorStatistics, FLOORS, GROUND_INTENSITY, Levels, PRINTED_SENSOR_VARIANCE, PRIOR_VARIANCE, Record, Run,
@@ -150,6 +150,17 @@ fn building_and_intensity_are_the_published_ones() {
     }
     // §4.4: 27 718 N at the top
     assert!((mean_wind()[FLOORS - 1] - 27_718.0).abs() < 0.5);
+}
+
+#[test]
+fn top_floor_has_the_derived_root_mean_square() {
+    // §6: 0.2518 m/s² for the absolute acceleration, which the 5 % rule for the sensor noise takes
+    let model = discrete_model(Case::Ground, held_variance(GROUND_INTENSITY, STEP_S), PRINTED_SENSOR_VARIANCE).unwrap();
+    let noise = &model.input * &model.excitation_covariance * model.input.transpose();
+    let covariance = lyapunov_by_doubling(model.transition, noise).unwrap();
+    let top = model.observation.row(SENSED.len() - 1);
+    let rms = (top * covariance * top.transpose())[(0, 0)].sqrt();
+    assert!((rms - 0.2518).abs() <= 5e-5, "{rms}");
 }
 
 /// Stationary errors with the right levels and with those of `START`.

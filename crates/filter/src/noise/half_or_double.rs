@@ -10,7 +10,7 @@ use super::training::prior_distance;
 use super::{NoiseSettings, NoiseState};
 
 /// More noise parameters than this are refused: the candidates of a training step are three to their number.
-pub(crate) const MOST_PARAMETERS: usize = 5;
+pub(super) const MOST_PARAMETERS: usize = 5;
 
 /// A candidate holds each noise parameter, halves it or doubles it; holding comes first and wins a tie.
 const FACTORS: [f64; 3] = [1.0, 0.5, 2.0];
