@@ -81,6 +81,13 @@ pub(crate) fn symmetrise_mut(matrix: &mut DMatrix<f64>) {
     }
 }
 
+/// Adds `scale · X` to a matrix of the same size.
+pub(crate) fn add_scaled_mut(target: &mut DMatrix<f64>, scale: f64, x: &DMatrix<f64>) {
+    for (entry, addend) in target.iter_mut().zip(x.iter()) {
+        *entry += scale * addend;
+    }
+}
+
 /// Adds `scale · X C Xᵀ` to a symmetric matrix, with `X` (n × c) and a symmetric `C` (c × c) of few columns.
 pub(crate) fn add_quadratic_form_mut(target: &mut DMatrix<f64>, x: &DMatrix<f64>, c: &DMatrix<f64>, scale: f64) {
     let n = x.nrows();

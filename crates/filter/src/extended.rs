@@ -3,12 +3,15 @@
 //! Source: Huang & Yuen (2023), §2.4 (fading memory) and §3.2 (noise parameters); the order of one step is that of
 //! equations (3.14) to (3.18) with the noise parameters updated before the state.
 
+use crate::constant::ConstantPath;
 use crate::dense::{add_quadratic_form_mut, symmetrise_mut};
 use crate::discretise::{self, InputHold, Series};
 use crate::error::FilterError;
 use crate::fading::{FadingFactor, bound_variances_mut};
 use crate::model::{ObservationModel, ProcessModel};
-use crate::noise::{NoiseEvents, NoiseModel, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget, Objective};
+use crate::noise::{
+    ExcitationPath, NoiseEvents, NoiseModel, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget, Objective,
+};
 use crate::outlier::{OutlierSettings, OutlierState};
 use crate::update::{self, CovarianceForm, ExcitationPosterior};
 use nalgebra::{DMatrix, DVector};
@@ -116,7 +119,7 @@ impl FilterSettings {
                 return Err(FilterError::Setting { what, found: std, allowed: "finite and not negative" });
             }
         }
-        FadingFactor::new(self.noise_settings.fading)?;
+        self.noise_settings.check(self.noise.parameters.len())?;
         if let Some(outliers) = &self.outliers {
             outliers.check()?;
         }
@@ -194,6 +197,8 @@ struct Workspace {
     discretise: discretise::Workspace,
     update: update::Workspace,
     objective: Objective,
+    /// what a linear time-invariant model computes only once
+    constant: Option<ConstantPath>,
     /// P (n × n)
     covariance: DMatrix<f64>,
     /// y predicted (n)
@@ -219,6 +224,10 @@ struct Workspace {
     /// known excitation at the older and the newer frame, and the older one with w̄ (N_f)
     older: DVector<f64>,
     newer: DVector<f64>,
+    /// variance of a measured excitation whose sample at the older frame is missing, else 0 (N_f)
+    missing: DVector<f64>,
+    /// growth of the known excitation over the step (N_f)
+    newer_less_older: DVector<f64>,
     /// B_y ḟ (n)
     ramp: DVector<f64>,
     /// diagonal of S with the noise levels before this step moves them (N_0)
@@ -235,7 +244,15 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     pub fn new(model: M, settings: FilterSettings) -> Result<Self, FilterError> {
         settings.check(&model)?;
         let (n, channels, inputs) = (model.state_len(), model.observation_len(), model.excitation_len());
+        let constant = match model.constant_transition(settings.step_s) {
+            Some(transition) => {
+                transition.check(n, inputs)?;
+                Some(ConstantPath::new(transition, &model, &settings.noise))
+            }
+            None => None,
+        };
         let work = Workspace {
+            constant,
             discretise: discretise::Workspace::new(n, inputs),
             update: update::Workspace::new(n, channels, settings.covariance_form),
             objective: Objective::new(channels, settings.noise.parameters.len()),
@@ -253,6 +270,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             sensors: DMatrix::zeros(channels, channels),
             older: DVector::zeros(inputs),
             newer: DVector::zeros(inputs),
+            missing: DVector::zeros(inputs),
+            newer_less_older: DVector::zeros(inputs),
             ramp: DVector::zeros(n),
             variances: DVector::zeros(channels),
             sorted: Vec::with_capacity(settings.outliers.map_or(0, |outliers| outliers.recent_len())),
@@ -338,6 +357,26 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             training_overdue: noise_events.training_overdue,
             training_restarted: noise_events.training_restarted,
         })
+    }
+
+    /// Sets the noise parameters to levels that are known from elsewhere, such as a schedule.
+    ///
+    /// `psi` (N_ψ). The coming step takes them; under any rule but [`NoiseRule::Fixed`] it then moves them.
+    ///
+    /// # Errors
+    /// When their number is not that of the model, or one of them is not positive.
+    pub fn set_noise_parameters(&mut self, psi: &[f64]) -> Result<(), FilterError> {
+        let (found, expected) = (psi.len(), self.state.noise.mean.len());
+        if found != expected {
+            return Err(FilterError::Dimension { what: "noise parameters", found, expected });
+        }
+        for &level in psi {
+            if !(level > 0.0 && level.is_finite()) {
+                return Err(FilterError::Setting { what: "noise parameter", found: level, allowed: "positive" });
+            }
+        }
+        self.state.noise.mean.copy_from_slice(psi);
+        Ok(())
     }
 
     /// Returns the model.
@@ -442,6 +481,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             let (older, newer) = (state.last_excitation[j], frame.excitation[j]);
             work.older[j] = if older.is_nan() { 0.0 } else { older };
             work.newer[j] = if newer.is_nan() { 0.0 } else { newer };
+            work.missing[j] = if older.is_nan() { state.excitation_mean_square[j] } else { 0.0 };
         }
     }
 
@@ -476,6 +516,23 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         if let Some(posterior) = &state.posterior {
             work.older += &posterior.mean;
         }
+        if let Some(ConstantPath { transition, column, .. }) = &mut work.constant {
+            let held = &work.older;
+            let ramp = (settings.input_hold == InputHold::First).then(|| {
+                work.newer_less_older.copy_from(&work.newer);
+                work.newer_less_older -= held;
+                &work.newer_less_older
+            });
+            transition.predict_mean_mut(&mut work.mean, held, ramp, column);
+            work.input_matrix.copy_from(transition.held_input());
+            transition.propagate_covariance_to(&state.covariance, &mut work.covariance, column);
+            if let Some(ExcitationPosterior { cross, .. }) = &state.posterior {
+                work.cross.copy_from(cross);
+                transition.mul_mut(&mut work.cross, column);
+            }
+            self.finish_prediction();
+            return;
+        }
         model.linearise_process(state.mean.as_slice(), work.older.as_slice());
         model.excitation_matrix(&mut work.input_matrix);
         let n = work.mean.len();
@@ -500,10 +557,19 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             &mut work.covariance,
             &mut work.discretise,
         );
-        if let Some(ExcitationPosterior { covariance, cross, .. }) = &state.posterior {
-            // A Σ Aᵀ + A C Bᵀ + B Cᵀ Aᵀ + B W Bᵀ: the sensors have already felt the excitation of this step
+        if let Some(ExcitationPosterior { cross, .. }) = &state.posterior {
             work.cross.copy_from(cross);
             discretise::transition_mul_narrow(model, settings.step_s, series, &mut work.cross, &mut work.discretise);
+        }
+        self.finish_prediction();
+    }
+
+    /// Adds what the frame before has told of the excitation, given `A C` in the scratch space, and fades.
+    fn finish_prediction(&mut self) {
+        let Self { settings, state, work, .. } = self;
+        let n = work.mean.len();
+        if let Some(ExcitationPosterior { covariance, .. }) = &state.posterior {
+            // A Σ Aᵀ + A C Bᵀ + B Cᵀ Aᵀ + B W Bᵀ: the sensors have already felt the excitation of this step
             for b in 0..work.cross.ncols() {
                 for j in 0..n {
                     for i in 0..n {
@@ -530,7 +596,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         work.h_p.transpose_to(&mut work.p_ht); // P Hᵀ, because P is symmetric
         model.observation_jacobian_mul(&work.p_ht, &mut work.update.innovation_covariance); // S₀
         symmetrise_mut(&mut work.update.innovation_covariance);
-        model.observation_jacobian_mul(&work.input_matrix, &mut work.h_b);
+        if work.constant.is_none() {
+            model.observation_jacobian_mul(&work.input_matrix, &mut work.h_b);
+        }
 
         let rejected = self.screen_outliers(frame);
         let events = self.update_noise(frame);
@@ -589,10 +657,18 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             return NoiseEvents::default();
         }
         let Self { model, settings, state, work } = self;
+        if state.fresh && frame.observations.iter().all(|datum| datum.is_nan()) {
+            return NoiseEvents::default(); // the prior is for this very instant: nothing has aged
+        }
         let lambda = settings.fading.value();
         // What the excitation of this step adds is already in S₀ when the frame before has told of it.
         let felt = state.posterior.is_some() && !state.fresh;
-        let h_b = (!felt).then_some(&work.h_b);
+        let path = match &work.constant {
+            _ if felt => ExcitationPath::Felt,
+            Some(_) if state.fresh => ExcitationPath::Felt, // no step, no excitation
+            Some(constant) => ExcitationPath::Constant(&constant.levels),
+            None => ExcitationPath::Input(&work.h_b),
+        };
         let objective = &mut work.objective;
         let known = &mut work.frame_known;
         known.copy_from(&work.update.innovation_covariance);
@@ -607,13 +683,17 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 work.frame_excitation[(j, j)] += state.excitation_mean_square[j];
             }
         }
-        if let Some(h_b) = h_b {
-            add_quadratic_form_mut(known, h_b, &work.step_excitation, lambda);
+        match (path, &work.constant) {
+            (ExcitationPath::Input(h_b), _) => add_quadratic_form_mut(known, h_b, &work.step_excitation, lambda),
+            (ExcitationPath::Constant(_), Some(constant)) => {
+                constant.add_known_datum_mut(lambda, &work.missing, known);
+            }
+            (ExcitationPath::Felt | ExcitationPath::Constant(_), _) => {}
         }
         if let Some(direct) = model.feedthrough() {
             add_quadratic_form_mut(known, direct, &work.frame_excitation, 1.0);
         }
-        objective.set_frame(&settings.noise, known, h_b, model.feedthrough(), lambda, &work.update.innovation);
+        objective.set_frame(&settings.noise, known, path, model.feedthrough(), lambda, &work.update.innovation);
         state.noise.update(&settings.noise, &settings.noise_settings, objective)
     }
 
@@ -624,7 +704,19 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let lambda = settings.fading.value();
         let felt = state.posterior.is_some() && !state.fresh;
         let innovation_covariance = &mut work.update.innovation_covariance;
-        if !felt {
+        if let Some(constant) = &work.constant {
+            if !felt && !state.fresh {
+                let (psi, missing) = (&state.noise.mean, &work.missing);
+                constant.add_noise_mut(
+                    psi,
+                    lambda,
+                    missing,
+                    &mut work.covariance,
+                    &mut work.h_p,
+                    innovation_covariance,
+                );
+            }
+        } else if !felt {
             add_quadratic_form_mut(&mut work.covariance, &work.input_matrix, &work.step_excitation, lambda);
             add_quadratic_form_mut(innovation_covariance, &work.h_b, &work.step_excitation, lambda);
             for b in 0..work.step_excitation.ncols() {

@@ -35,6 +35,24 @@ impl LinearModel {
         let exponential = augmented.exp();
         (exponential.view((0, 0), (n, n)).into_owned(), exponential.view((0, n), (n, inputs)).into_owned())
     }
+
+    pub(crate) fn check(&self) -> Result<(), FilterError> {
+        let (n, channels) = (self.transition.nrows(), self.observation.nrows());
+        let inputs = self.input.ncols();
+        let sizes = [
+            ("transition matrix", self.transition.len(), n * n),
+            ("input matrix", self.input.nrows(), n),
+            ("observation matrix", self.observation.ncols(), n),
+            ("excitation covariance", self.excitation_covariance.len(), inputs * inputs),
+            ("sensor covariance", self.sensor_covariance.len(), channels * channels),
+        ];
+        for (what, found, expected) in sizes {
+            if found != expected {
+                return Err(FilterError::Dimension { what, found, expected });
+            }
+        }
+        Ok(())
+    }
 }
 
 /// What one update of a [`KalmanFilter`] found.
@@ -67,18 +85,9 @@ impl KalmanFilter {
     /// # Errors
     /// When a size does not fit.
     pub fn new(model: LinearModel, mean: DVector<f64>, covariance: DMatrix<f64>) -> Result<Self, FilterError> {
+        model.check()?;
         let (n, channels) = (model.transition.nrows(), model.observation.nrows());
-        let inputs = model.input.ncols();
-        let sizes = [
-            ("mean", mean.len(), n),
-            ("covariance", covariance.len(), n * n),
-            ("transition matrix", model.transition.len(), n * n),
-            ("input matrix", model.input.nrows(), n),
-            ("observation matrix", model.observation.ncols(), n),
-            ("excitation covariance", model.excitation_covariance.len(), inputs * inputs),
-            ("sensor covariance", model.sensor_covariance.len(), channels * channels),
-        ];
-        for (what, found, expected) in sizes {
+        for (what, found, expected) in [("mean", mean.len(), n), ("covariance", covariance.len(), n * n)] {
             if found != expected {
                 return Err(FilterError::Dimension { what, found, expected });
             }

@@ -3,7 +3,9 @@
 //!
 //! A system is described by two traits, [`ProcessModel`] (how its state moves) and [`ObservationModel`] (what is observed
 //! of it), whose Jacobians are operators. Frames of samples go in, one call a time step; estimates with covariance come
-//! out. The method is that of Huang & Yuen, *Bayesian Real-Time System Identification* (2023).
+//! out. The method is that of Huang & Yuen, *Bayesian Real-Time System Identification* (2023). A linear model without
+//! parameters makes the filter a plain Kalman filter, whose noise levels can also be estimated by the two-stage rule of
+//! Yuen, Liang & Kuok (2013).
 //!
 //! - [`model`]: the two traits
 //! - [`fading`]: how old data are forgotten
@@ -12,6 +14,9 @@
 //! - [`discretise`]: one time step without inverting the Jacobian
 //! - [`update`]: the forms of the measurement update
 //! - [`extended`]: the adaptive extended Kalman filter, the chain of these stages
+//! - [`linear`]: linear models without parameters, also in modal coordinates
+//! - [`constant`]: what such a model computes only once
+//! - [`steady`]: stationary gain and error covariance of a linear filter, right or wrong
 //! - [`kalman`]: the plain Kalman filter of a known linear system
 //! - [`particle`]: the particle filter, for distributions that are not Gaussian
 //! - [`band_limit`]: the low-pass that is the same on every channel
@@ -23,21 +28,26 @@ pub mod error;
 pub mod model;
 
 pub mod band_limit;
+pub mod constant;
 pub mod discretise;
 pub mod extended;
 pub mod fading;
 pub mod kalman;
+pub mod linear;
 pub mod noise;
 pub mod outlier;
 pub mod particle;
+pub mod steady;
 pub mod update;
 
 pub use band_limit::BandLimit;
+pub use constant::ConstantTransition;
 pub use discretise::InputHold;
 pub use error::FilterError;
 pub use extended::{Annealing, ExtendedKalmanFilter, FilterSettings, FilterState, Frame, Step};
 pub use fading::FadingFactor;
 pub use kalman::{KalmanFilter, LinearModel};
+pub use linear::{DirectTerm, ModalModel, StateSpace};
 pub use model::{ObservationModel, ProcessModel};
 pub use noise::{NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget};
 pub use outlier::{ChannelScreen, OutlierChange, OutlierSettings, OutlierState, OutlierTraining, Verdict};

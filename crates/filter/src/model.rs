@@ -4,6 +4,7 @@
 //! parameters `θ` last; `f` is the excitation, held over a step. Jacobians are operators: a model multiplies them with
 //! given columns and never hands out a dense matrix, because the Jacobian of a structure is sparse.
 
+use crate::constant::ConstantTransition;
 use nalgebra::DMatrix;
 
 /// Says how the state moves: `ẏ = g(y, f)`, equation (2.47).
@@ -36,6 +37,15 @@ pub trait ProcessModel {
 
     /// Returns an upper bound of the spectral radius of `A_y` (1/s): it sets the length of the series for `exp(A_y Δt)`.
     fn rate_bound(&self) -> f64;
+
+    /// Returns the exact transition over `step_s` (s) of a model whose `A_y`, `B_y` and `H` never change.
+    ///
+    /// A filter asks once, when it is made, and then computes nothing twice. `None`, as for all other models: the step is
+    /// discretised anew at every frame.
+    fn constant_transition(&self, step_s: f64) -> Option<ConstantTransition> {
+        let _ = step_s;
+        None
+    }
 }
 
 /// Says what is observed of the state: `z = h(y, f) + D w + n`, equation (2.57) with a direct term.

@@ -2,19 +2,23 @@
 //!
 //! Notation: Huang & Yuen (2023), chapter 3. `ψ` are the noise parameters, `Σ_ψ` their covariance, `e` the innovation and
 //! `Σ_z(ψ) = S₀ + Σ_l ψ_l U_l` (3.26) the covariance of the predicted datum, linear in `ψ`. With `L Lᵀ = Σ_z` every
-//! derivative of the objective `J` (3.28) follows from `V_l = L⁻¹ U_l L⁻ᵀ` and `ẽ = L⁻¹ e`.
+//! derivative of the objective `J` (3.28) follows from `V_l = L⁻¹ U_l L⁻ᵀ` and `ẽ = L⁻¹ e`. The rule of Yuen, Liang & Kuok
+//! (2013) for the linear filter works on the same objective.
 
+mod half_or_double;
 mod objective;
 mod training;
 mod working;
 
 use crate::error::FilterError;
+use crate::fading::FadingFactor;
+use half_or_double::{MOST_PARAMETERS, UNCHANGED_STEPS};
 use nalgebra::{DMatrix, DVector};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 
-pub(crate) use objective::Objective;
+pub(crate) use objective::{ExcitationPath, Objective};
 
 /// Which covariance a noise parameter scales.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -120,6 +124,12 @@ pub enum NoiseRule {
     /// The observed Hessian gains false information from a single large innovation (its likelihood part grows with
     /// `e²`), its gain freezes, and bursts of shaking then diverge. The expected information cannot be fooled so.
     Fisher,
+    /// Two stages as in Yuen, Liang & Kuok (2013): halve, hold or double each parameter until they settle, then one Newton
+    /// step per sample with the observed Hessian.
+    ///
+    /// Stands for the published method: no floor, no return to training and no limit of the training acts under it. Start
+    /// rather too large than too small, with a third of the start as its deviation. At most five parameters.
+    HalfOrDouble,
 }
 
 /// Settings of the identification of the noise parameters.
@@ -129,9 +139,11 @@ pub struct NoiseSettings {
     pub rule: NoiseRule,
     /// Fading factor of the noise parameters, at least 1.
     pub fading: f64,
-    /// Steps before which training cannot end: INT(10 T/Δt), (3.31).
+    /// Steps before which training cannot end: INT(10 T/Δt), (3.31); under [`NoiseRule::HalfOrDouble`] one period, T/Δt.
     pub training_steps: u64,
     /// Steps after which training ends without waiting for ten unchanged estimates; 0 means never.
+    ///
+    /// Under [`NoiseRule::HalfOrDouble`] it ends nothing and only says that training is overdue.
     pub training_limit_steps: u64,
     /// `N_τ`, the number of candidates of the local search, the incumbent included.
     pub candidates: usize,
@@ -142,8 +154,28 @@ pub struct NoiseSettings {
     /// Where the model explains a motion only in part, a level that was learnt in a quiet hour makes the filter believe
     /// the first seconds of shaking far too much.
     pub floor: f64,
+    /// Largest factor by which one working step may raise or lower a noise parameter under [`NoiseRule::HalfOrDouble`];
+    /// above 1, infinite for none.
+    ///
+    /// The source has no such guard. Without one a short half-life or a bad start makes a parameter negative.
+    pub positivity_guard: f64,
     /// Seed of the local search.
     pub seed: u64,
+}
+
+impl NoiseSettings {
+    pub(crate) fn check(&self, parameters: usize) -> Result<(), FilterError> {
+        FadingFactor::new(self.fading)?;
+        if self.positivity_guard <= 1.0 || self.positivity_guard.is_nan() {
+            let what = "positivity guard of the noise parameters";
+            return Err(FilterError::Setting { what, found: self.positivity_guard, allowed: "above 1" });
+        }
+        if self.rule == NoiseRule::HalfOrDouble && parameters > MOST_PARAMETERS {
+            let what = "number of noise parameters under the rule half-or-double";
+            return Err(FilterError::Setting { what, found: parameters as f64, allowed: "at most 5" });
+        }
+        Ok(())
+    }
 }
 
 impl Default for NoiseSettings {
@@ -156,6 +188,7 @@ impl Default for NoiseSettings {
             candidates: 20,
             relative_step: 1.0 / 256.0,
             floor: 1e-14,
+            positivity_guard: 2.0,
             seed: 0,
         }
     }
@@ -268,12 +301,23 @@ impl NoiseState {
         objective: &mut Objective,
     ) -> NoiseEvents {
         let mut events = NoiseEvents::default();
-        if settings.rule == NoiseRule::Fixed || self.mean.is_empty() || objective.used_channels() == 0 {
+        if settings.rule == NoiseRule::Fixed || self.mean.is_empty() {
+            return events;
+        }
+        if objective.used_channels() == 0 {
+            if settings.rule == NoiseRule::HalfOrDouble {
+                self.covariance *= settings.fading; // what is known ages without a datum too
+            }
             return events;
         }
         match self.phase {
             NoisePhase::Training => {
-                self.search(model, settings, objective);
+                match settings.rule {
+                    NoiseRule::HalfOrDouble => self.halve_or_double(settings, objective),
+                    NoiseRule::Published | NoiseRule::Fisher | NoiseRule::Fixed => {
+                        self.search(model, settings, objective);
+                    }
+                }
                 self.training_step += 1;
                 self.watch_misfit(LEAST_WINDOW_STEPS, objective);
                 if self.training_is_over(settings) {
@@ -289,6 +333,10 @@ impl NoiseState {
                 match settings.rule {
                     NoiseRule::Published => self.newton_step(model, settings, objective),
                     NoiseRule::Fisher => self.scoring_step(model, settings, objective),
+                    NoiseRule::HalfOrDouble => {
+                        self.guarded_newton_step(settings, objective);
+                        return events; // the published method has no way back to training
+                    }
                     NoiseRule::Fixed => {}
                 }
                 if self.innovations_keep_disagreeing(settings, objective) {
@@ -302,10 +350,13 @@ impl NoiseState {
 
     fn training_is_over(&self, settings: &NoiseSettings) -> bool {
         let settled = match settings.rule {
+            NoiseRule::HalfOrDouble => {
+                return self.training_step >= settings.training_steps && self.unchanged >= UNCHANGED_STEPS;
+            }
             // The scoring step is right from any start near the level; waiting for the draws to lose ten times in a row
             // can take for ever with one parameter and few channels.
             NoiseRule::Fisher => self.innovations_agree(),
-            NoiseRule::Published | NoiseRule::Fixed => self.unchanged >= 10,
+            NoiseRule::Published | NoiseRule::Fixed => self.unchanged >= UNCHANGED_STEPS,
         };
         let waited = self.training_step >= settings.training_steps.max(1) && settled;
         let limit = settings.training_limit_steps;

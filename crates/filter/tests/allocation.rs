@@ -6,8 +6,9 @@ mod systems;
 
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
-    Annealing, BandLimit, CovarianceForm, ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, InputHold,
-    NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseTarget, OutlierSettings,
+    Annealing, BandLimit, CovarianceForm, DirectTerm, ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame,
+    InputHold, ModalModel, NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseTarget,
+    ObservationModel, OutlierSettings, ProcessModel, StateSpace,
 };
 use systems::{Chain, Normal};
 
@@ -46,7 +47,7 @@ fn filter(rule: NoiseRule, form: CovarianceForm) -> ExtendedKalmanFilter<Chain> 
 
 #[test]
 fn step_allocates_nothing() {
-    for rule in [NoiseRule::Fixed, NoiseRule::Published, NoiseRule::Fisher] {
+    for rule in [NoiseRule::Fixed, NoiseRule::Published, NoiseRule::Fisher, NoiseRule::HalfOrDouble] {
         for form in [CovarianceForm::Symmetric, CovarianceForm::Joseph] {
             let mut filter = filter(rule, form);
             let mut normal = Normal::seeded(3);
@@ -69,5 +70,59 @@ fn step_allocates_nothing() {
             assert!(phases[1] > 0, "{rule:?}: the working phase was never reached");
             assert!(rule == NoiseRule::Fixed || phases[0] > 0, "{rule:?}: the training phase was never seen");
         }
+    }
+}
+
+/// A chain without parameters under a force on every mass, in either coordinates.
+fn linear_step_allocates_nothing<M: ProcessModel + ObservationModel>(model: M) {
+    let n = model.state_len();
+    let parameter = |target, start| NoiseParameter {
+        name: format!("{target:?}"),
+        target,
+        pattern: DMatrix::identity(MASSES, MASSES),
+        start,
+        start_std: start / 3.0,
+    };
+    let mut noise = NoiseModel::known(DMatrix::zeros(MASSES, MASSES), DMatrix::zeros(MASSES, MASSES));
+    noise.parameters = vec![parameter(NoiseTarget::Excitation, 10.0), parameter(NoiseTarget::Sensors, 10.0)];
+    let mut settings = FilterSettings::new(0.0025, DVector::zeros(n), DVector::repeat(n, 1e-2), noise);
+    settings.noise_settings =
+        NoiseSettings { rule: NoiseRule::HalfOrDouble, training_steps: 50, ..NoiseSettings::default() };
+    settings.input_hold = InputHold::First;
+    let mut filter = ExtendedKalmanFilter::new(model, settings).unwrap();
+    let mut normal = Normal::seeded(3);
+    let (mut datum, mut force) = (vec![0.0; MASSES], vec![0.1; MASSES]);
+    let mut phases = [0, 0];
+    let counted = allocation_counter::measure(|| {
+        for k in 0..400 {
+            datum.iter_mut().for_each(|value| *value = normal.draw());
+            if k % 7 == 0 {
+                datum[2] = f64::NAN;
+            }
+            if k % 50 == 49 {
+                datum.fill(f64::NAN);
+            }
+            force[1] = if k % 11 == 0 { f64::NAN } else { 0.1 };
+            let step = filter.step(Frame { observations: &datum, excitation: &force }).unwrap();
+            phases[usize::from(step.noise_phase == NoisePhase::Working)] += 1;
+        }
+    });
+    assert_eq!(counted.count_total, 0);
+    assert!(phases.iter().all(|&count| count > 0), "phases {phases:?}");
+}
+
+#[test]
+fn step_of_a_linear_model_allocates_nothing() {
+    let mass = DMatrix::identity(MASSES, MASSES);
+    let stiffness = Chain::new(MASSES, 5000.0).matrix();
+    let damping = &mass * 0.3 + &stiffness * 2.5e-4;
+    let mut observation = DMatrix::zeros(MASSES, 2 * MASSES);
+    observation.columns_mut(0, MASSES).copy_from(&-&stiffness);
+    observation.columns_mut(MASSES, MASSES).copy_from(&-&damping);
+    for direct in [DirectTerm::None, DirectTerm::Known(mass.clone()), DirectTerm::Whole(mass.clone())] {
+        let of = [&mass, &damping, &stiffness];
+        let physical = StateSpace::second_order(of, &mass, observation.clone(), direct.clone()).unwrap();
+        linear_step_allocates_nothing(physical);
+        linear_step_allocates_nothing(ModalModel::new(of, &mass, &observation, direct).unwrap());
     }
 }

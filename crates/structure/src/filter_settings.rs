@@ -6,13 +6,16 @@ use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::outlier::upper_bound;
 use spandrel_filter::{
-    Annealing, FadingFactor, FilterError, FilterSettings, NoiseModel, NoiseParameter, NoiseSettings, NoiseTarget,
-    OutlierSettings, OutlierTraining,
+    Annealing, FadingFactor, FilterError, FilterSettings, NoiseModel, NoiseParameter, NoiseRule, NoiseSettings,
+    NoiseTarget, OutlierSettings, OutlierTraining,
 };
 use std::f64::consts::PI;
 
 /// Periods of the fundamental mode before the training of the noise levels may end: Huang & Yuen (2023), (3.31).
 const TRAINING_PERIODS: f64 = 10.0;
+
+/// The same for the rule half-or-double: Yuen, Liang & Kuok (2013).
+const HALF_OR_DOUBLE_PERIODS: f64 = 1.0;
 
 /// Training ends without further waiting after this many times its least length: with one level and few channels the
 /// source's own rule may never fire.
@@ -58,7 +61,7 @@ impl Structure {
     /// Turns seconds into samples; what the file leaves open follows from the fundamental period as designed.
     fn outlier_settings(&self, plan: &OutlierPlan) -> OutlierSettings {
         let steps = |seconds: f64| (seconds * self.sampling_rate_hz).round().max(3.0) as usize;
-        let mut settings = OutlierSettings::for_period(self.training_steps() as f64 / TRAINING_PERIODS);
+        let mut settings = OutlierSettings::for_period(self.fundamental_period_s() * self.sampling_rate_hz);
         if !plan.gated {
             settings.training = OutlierTraining::Raw;
         }
@@ -76,10 +79,19 @@ impl Structure {
         settings
     }
 
-    /// Returns `INT(10 T/Δt)`, (3.31), with the fundamental period `T` as designed.
+    /// Returns `INT(10 T/Δt)`, (3.31), with the fundamental period `T` as designed; one `T` for half-or-double.
     fn training_steps(&self) -> u64 {
+        let periods = match self.plan.noise_rule {
+            NoiseRule::HalfOrDouble => HALF_OR_DOUBLE_PERIODS,
+            NoiseRule::Fisher | NoiseRule::Published | NoiseRule::Fixed => TRAINING_PERIODS,
+        };
+        (periods * self.fundamental_period_s() * self.sampling_rate_hz) as u64
+    }
+
+    /// Returns the fundamental period `T` as designed (s), 0 where there is none.
+    fn fundamental_period_s(&self) -> f64 {
         let first = self.nominal_modes().and_then(|modes| modes.angular_frequencies.first().copied());
-        first.map_or(0, |omega| (TRAINING_PERIODS * 2.0 * PI / omega * self.sampling_rate_hz) as u64)
+        first.map_or(0.0, |omega| 2.0 * PI / omega)
     }
 
     /// Splits the noise levels into what is known and what is adapted.

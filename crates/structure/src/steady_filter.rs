@@ -3,16 +3,11 @@
 //! Predictor form, `û_{i+1} = A û_i + B f̄_i + K ν_i`, `ν_i = z_i − H û_i − D f̄_i`, with `f̄` the known part of the
 //! excitation. Unlike (2.17) to (2.35) of Huang & Yuen (2023) it allows a direct term `D`, for which the noises of the
 //! state and of the datum are correlated. The covariance of the prediction solves
-//! `P = A P Aᵀ + B Σ_f Bᵀ − K S Kᵀ`, found by doubling (Chu, Fan, Lin & Wang 2004, *Int. J. Control* 77, 767): each
-//! iteration covers twice as many steps as the one before.
+//! `P = A P Aᵀ + B Σ_f Bᵀ − K S Kᵀ`, found by doubling.
 
 use crate::linear_form::{LinearForm, Recursion};
 use nalgebra::{DMatrix, DVector};
-
-/// Doublings before giving up: 2⁶⁰ steps are for ever.
-const LARGEST_DOUBLINGS: usize = 60;
-/// The doubling ends when it changes the covariance by less than this share.
-const CONVERGED: f64 = 1e-13;
+use spandrel_filter::steady::riccati_by_doubling;
 
 /// Variances of the unknown excitation (N_f) and of the sensors (N_0).
 #[derive(Debug, Clone)]
@@ -54,7 +49,7 @@ impl SteadyFilter {
         let r_h = r_factor.solve(h);
         let decorrelated = a - &cross * &r_h;
         let q = &b_f * b.transpose() - &cross * r_factor.solve(&cross.transpose());
-        let p = doubled(decorrelated.transpose(), h.transpose() * r_h, q)?;
+        let p = riccati_by_doubling(decorrelated.transpose(), h.transpose() * r_h, q)?;
         let s = h * &p * h.transpose() + r;
         let s_factor = s.clone().cholesky()?;
         let over_s = |x: DMatrix<f64>| s_factor.solve(&x.transpose()).transpose(); // X S⁻¹
@@ -99,42 +94,5 @@ impl SteadyFilter {
         self.next.gemv(-1.0, slope, known, 1.0);
         self.next.gemv(1.0, &self.gain, &self.innovation, 1.0);
         std::mem::swap(&mut self.state, &mut self.next);
-    }
-}
-
-/// Solves `X = Aᵀ X (I + G X)⁻¹ A + Q` for symmetric `G`, `Q`; `None` if the doubling does not settle.
-fn doubled(mut a: DMatrix<f64>, mut g: DMatrix<f64>, mut q: DMatrix<f64>) -> Option<DMatrix<f64>> {
-    let n = a.nrows();
-    for _ in 0..LARGEST_DOUBLINGS {
-        let factor = (DMatrix::identity(n, n) + &g * &q).lu();
-        let w_a = factor.solve(&a)?; // W⁻¹ A
-        let w_g = factor.solve(&g)?; // W⁻¹ G
-        let change = a.transpose() * (&q * &w_a);
-        g += &a * w_g * a.transpose();
-        a = &a * w_a;
-        q += &change;
-        q = (&q + q.transpose()) * 0.5;
-        g = (&g + g.transpose()) * 0.5;
-        let size = q.norm();
-        if !size.is_finite() {
-            return None;
-        }
-        if change.norm() <= CONVERGED * size {
-            return Some(q);
-        }
-    }
-    None
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A scalar with `a = 1`, unit noises: `P² = P + 1`, the golden ratio.
-    #[test]
-    fn a_random_walk_has_the_golden_ratio_as_its_variance() {
-        let one = || DMatrix::from_element(1, 1, 1.0);
-        let p = doubled(one(), one(), one()).unwrap();
-        assert!((p[(0, 0)] - (1.0 + 5.0_f64.sqrt()) / 2.0).abs() < 1e-12);
     }
 }

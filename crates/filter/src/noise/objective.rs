@@ -1,7 +1,8 @@
 //! The objective `J(ψ)` of one frame (3.28) with its exact gradient and Hessian.
 
 use super::{NoiseModel, NoiseTarget};
-use crate::dense::{cholesky_mut, ln_determinant, solve_lower_mut};
+use crate::constant::NoiseSpread;
+use crate::dense::{add_scaled_mut, cholesky_mut, ln_determinant, solve_lower_mut};
 use nalgebra::{DMatrix, DVector};
 
 /// One frame as the noise parameters see it: an N_0 × N_0 problem, whatever the number of states.
@@ -27,7 +28,18 @@ pub(crate) struct Objective {
     pub(super) scratch: Scratch,
 }
 
-/// Scratch of the two rules (N_ψ).
+/// How the excitation of the coming step reaches the datum.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum ExcitationPath<'a> {
+    /// Not at all, or the frame before has told of it: it is in `S₀`.
+    Felt,
+    /// Through `H B` (N_0 × N_f).
+    Input(&'a DMatrix<f64>),
+    /// Through the constant `H B C Bᵀ Hᵀ` of each noise parameter; `None` where it scales the sensors.
+    Constant(&'a [Option<NoiseSpread>]),
+}
+
+/// Scratch of the rules (N_ψ).
 #[derive(Debug, Clone)]
 pub(super) struct Scratch {
     pub(super) information: DMatrix<f64>,
@@ -72,25 +84,32 @@ impl Objective {
 
     /// Sets the frame.
     ///
-    /// `known`: `S₀ = λ H A Σ Aᵀ Hᵀ` (N_0 × N_0), with all that does not depend on `ψ`; `h_b`: `H B` (N_0 × N_f);
-    /// `feedthrough`: `D`; `fading`: `λ` of the state; `innovation`: NaN where a channel is missing.
+    /// `known`: `S₀ = λ H A Σ Aᵀ Hᵀ` (N_0 × N_0), with all that does not depend on `ψ`; `feedthrough`: `D`; `fading`: `λ` of the state; `innovation`: NaN where a channel is missing.
     pub(crate) fn set_frame(
         &mut self,
         model: &NoiseModel,
         known: &DMatrix<f64>,
-        h_b: Option<&DMatrix<f64>>,
+        path: ExcitationPath<'_>,
         feedthrough: Option<&DMatrix<f64>>,
         fading: f64,
         innovation: &DVector<f64>,
     ) {
         self.known.copy_from(known);
-        for (parameter, pattern) in model.parameters.iter().zip(&mut self.patterns) {
+        for (l, (parameter, pattern)) in model.parameters.iter().zip(&mut self.patterns).enumerate() {
             match parameter.target {
                 NoiseTarget::Sensors => pattern.copy_from(&parameter.pattern),
                 NoiseTarget::Excitation => {
                     pattern.fill(0.0);
-                    if let Some(h_b) = h_b {
-                        crate::dense::add_quadratic_form_mut(pattern, h_b, &parameter.pattern, fading);
+                    match path {
+                        ExcitationPath::Felt => {}
+                        ExcitationPath::Input(h_b) => {
+                            crate::dense::add_quadratic_form_mut(pattern, h_b, &parameter.pattern, fading);
+                        }
+                        ExcitationPath::Constant(spreads) => {
+                            if let Some(spread) = &spreads[l] {
+                                add_scaled_mut(pattern, fading, &spread.datum);
+                            }
+                        }
                     }
                     if let Some(direct) = feedthrough {
                         crate::dense::add_quadratic_form_mut(pattern, direct, &parameter.pattern, 1.0);

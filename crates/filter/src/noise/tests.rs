@@ -25,7 +25,7 @@ fn random_problem() -> (NoiseModel, Objective) {
     };
     let mut objective = Objective::new(4, 3);
     let innovation = DVector::from_row_slice(&[0.8, -0.3, 0.5, 1.1]);
-    objective.set_frame(&model, &known, Some(&h_b), None, 1.0007, &innovation);
+    objective.set_frame(&model, &known, ExcitationPath::Input(&h_b), None, 1.0007, &innovation);
     (model, objective)
 }
 
@@ -80,7 +80,7 @@ fn missing_channel_adds_nothing() {
     let known = DMatrix::identity(4, 4);
     let h_b = DMatrix::from_element(4, 2, 0.5);
     let innovation = DVector::from_row_slice(&[0.8, f64::NAN, 0.5, f64::NAN]);
-    objective.set_frame(&model, &known, Some(&h_b), None, 1.0, &innovation);
+    objective.set_frame(&model, &known, ExcitationPath::Input(&h_b), None, 1.0, &innovation);
     assert_eq!(objective.used_channels(), 2);
     let found = objective.value(&psi);
     // the same frame with two channels only
@@ -120,7 +120,7 @@ fn white_residuals(rule: NoiseRule, seed: u64) -> (f64, f64, u64) {
             let draw: f64 = StandardNormal.sample(&mut rng);
             truth.sqrt() * draw
         });
-        objective.set_frame(&model, &zero, None, None, 1.0, &residual);
+        objective.set_frame(&model, &zero, ExcitationPath::Felt, None, 1.0, &residual);
         if state.update(&model, &settings, &mut objective).training_ended {
             ended = k;
         }
@@ -165,9 +165,216 @@ fn lasting_misfit_sends_the_parameters_back_to_training() {
     let innovation = DVector::repeat(4, 100.0);
     let known = DMatrix::identity(4, 4);
     let restarted = (0..2000).any(|_| {
-        objective.set_frame(&model, &known, None, None, 1.0, &innovation);
+        objective.set_frame(&model, &known, ExcitationPath::Felt, None, 1.0, &innovation);
         state.update(&model, &settings, &mut objective).training_restarted
     });
     assert!(restarted);
     assert_eq!(state.phase, NoisePhase::Training);
+}
+
+/// One force and six equal sensors with the levels of the published building: what the two-stage rule sees of it.
+struct TwoLevels {
+    model: NoiseModel,
+    known: DMatrix<f64>,
+    h_b: DMatrix<f64>,
+    rng: ChaCha8Rng,
+}
+
+const TRUTH: [f64; 2] = [0.0754, 1.32e-4];
+
+impl TwoLevels {
+    fn seeded(seed: u64, start: [f64; 2]) -> Self {
+        let parameter = |name: &str, target, size, start: f64| NoiseParameter {
+            name: name.to_owned(),
+            target,
+            pattern: DMatrix::identity(size, size),
+            start,
+            start_std: start / 3.0,
+        };
+        let model = NoiseModel {
+            excitation: DMatrix::zeros(1, 1),
+            sensors: DMatrix::zeros(6, 6),
+            parameters: vec![
+                parameter("force", NoiseTarget::Excitation, 1, start[0]),
+                parameter("sensors", NoiseTarget::Sensors, 6, start[1]),
+            ],
+        };
+        let mix = DMatrix::from_fn(6, 6, |i, j| 5e-3 * (1.7 * i as f64 - 0.9 * j as f64 + 0.3).sin());
+        Self {
+            model,
+            known: &mix * mix.transpose(),
+            h_b: DMatrix::from_fn(6, 1, |i, _| 0.06 * (0.4 + i as f64).cos()),
+            rng: ChaCha8Rng::seed_from_u64(seed),
+        }
+    }
+
+    fn covariance(&self, psi: &[f64]) -> DMatrix<f64> {
+        &self.known + &self.h_b * self.h_b.transpose() * psi[0] + DMatrix::identity(6, 6) * psi[1]
+    }
+
+    /// Draws the innovation of the next frame.
+    fn innovation(&mut self) -> DVector<f64> {
+        use rand_distr::{Distribution, StandardNormal};
+        let white = DVector::from_fn(6, |_, _| StandardNormal.sample(&mut self.rng));
+        self.covariance(&TRUTH).cholesky().unwrap().l() * white
+    }
+
+    fn set(&self, objective: &mut Objective, innovation: &DVector<f64>) {
+        objective.set_frame(&self.model, &self.known, ExcitationPath::Input(&self.h_b), None, 1.0, innovation);
+    }
+}
+
+/// The method as printed, with its differences, written down a second time.
+struct Printed {
+    mean: [f64; 2],
+    covariance: DMatrix<f64>,
+    training: bool,
+    steps: u64,
+    unchanged: u64,
+}
+
+impl Printed {
+    fn start(mean: [f64; 2]) -> Self {
+        let covariance = DMatrix::from_diagonal(&DVector::from_fn(2, |l, _| mean[l] * mean[l] / 9.0));
+        Self { mean, covariance, training: true, steps: 0, unchanged: 0 }
+    }
+
+    fn step(&mut self, problem: &TwoLevels, innovation: &DVector<f64>, lambda: f64, increment: f64, least: u64) {
+        let information = self.covariance.clone().try_inverse().unwrap();
+        let centre = self.mean;
+        let objective = |theta: [f64; 2]| {
+            let factor = problem.covariance(&theta).cholesky().unwrap();
+            let off = DVector::from_fn(2, |l, _| theta[l] - centre[l]);
+            0.5 * (factor.ln_determinant()
+                + off.dot(&(&information * &off)) / lambda
+                + innovation.dot(&factor.solve(innovation)))
+        };
+        let shifted = |theta: [f64; 2], a: f64, b: f64| {
+            objective([theta[0] * (1.0 + a * increment), theta[1] * (1.0 + b * increment)])
+        };
+        if self.training {
+            let candidates =
+                [1.0, 0.5, 2.0].into_iter().flat_map(|a| [1.0, 0.5, 2.0].map(|b| [a * centre[0], b * centre[1]]));
+            let best = candidates.min_by(|a, b| objective(*a).total_cmp(&objective(*b))).unwrap();
+            self.unchanged = if best == centre { self.unchanged + 1 } else { 0 };
+            self.mean = best;
+        } else {
+            let gradient = DVector::from_row_slice(&[
+                (shifted(centre, 1.0, 0.0) - shifted(centre, -1.0, 0.0)) / (2.0 * increment * centre[0]),
+                (shifted(centre, 0.0, 1.0) - shifted(centre, 0.0, -1.0)) / (2.0 * increment * centre[1]),
+            ]);
+            let step = &self.covariance * gradient;
+            self.mean = [centre[0] - step[0], centre[1] - step[1]];
+        }
+        let at = self.mean;
+        let middle = objective(at);
+        let d = [increment * at[0], increment * at[1]];
+        let twice = |a: f64, b: f64| shifted(at, a, b) - 2.0 * middle + shifted(at, -a, -b);
+        let mixed = shifted(at, 1.0, 1.0) - shifted(at, -1.0, 1.0) - shifted(at, 1.0, -1.0) + shifted(at, -1.0, -1.0);
+        let mixed = mixed / (4.0 * d[0] * d[1]);
+        let diagonal = [twice(1.0, 0.0) / (d[0] * d[0]), twice(0.0, 1.0) / (d[1] * d[1])];
+        let hessian = DMatrix::from_row_slice(2, 2, &[diagonal[0], mixed, mixed, diagonal[1]]);
+        if diagonal[0] > 0.0 && hessian.determinant() > 0.0 {
+            self.covariance = hessian.try_inverse().unwrap();
+        }
+        self.steps += 1;
+        self.training &= self.steps < least || self.unchanged < 10;
+    }
+}
+
+#[test]
+fn two_stage_rule_is_the_printed_method_whatever_its_increments() {
+    // Yuen et al. (2013): estimates with relative increments of 1e-2 and 1e-5 agree to 1e-4
+    let (start, least) = ([10.0, 10.0], 300);
+    for seed in 1..=3 {
+        let mut problem = TwoLevels::seeded(seed, start);
+        let settings = NoiseSettings {
+            rule: NoiseRule::HalfOrDouble,
+            fading: 2f64.powf(2.0 / 1000.0),
+            training_steps: least,
+            ..NoiseSettings::default()
+        };
+        let mut state = NoiseState::start(&problem.model, &settings);
+        let mut objective = Objective::new(6, 2);
+        let mut printed = [1e-2, 1e-3, 1e-5].map(|increment| (increment, Printed::start(start)));
+        // of the estimates; of the deviations once the first, nearly indefinite Hessians are forgotten
+        let (mut worst, mut worst_std, mut ended) = ([0.0_f64; 3], [0.0_f64; 3], 0);
+        for k in 1..=3000 {
+            let innovation = problem.innovation();
+            problem.set(&mut objective, &innovation);
+            if state.update(&problem.model, &settings, &mut objective).training_ended {
+                ended = k;
+            }
+            for (i, (increment, printed)) in printed.iter_mut().enumerate() {
+                printed.step(&problem, &innovation, settings.fading, *increment, least);
+                assert_eq!(printed.training, state.phase == NoisePhase::Training, "seed {seed}, step {k}");
+                for l in 0..2 {
+                    worst[i] = worst[i].max((printed.mean[l] / state.mean[l] - 1.0).abs());
+                    if k > 1500 {
+                        let std_ratio = (printed.covariance[(l, l)] / state.covariance[(l, l)]).sqrt();
+                        worst_std[i] = worst_std[i].max((std_ratio - 1.0).abs());
+                    }
+                }
+            }
+        }
+        println!("seed {seed}: estimates differ by {worst:?}, deviations by {worst_std:?}");
+        assert!(worst.iter().chain(&worst_std).all(|&worst| worst < 1e-4), "seed {seed}: {worst:?}, {worst_std:?}");
+        assert_eq!((ended, state.limited, state.working_fallbacks), (least, 0, 0), "seed {seed}");
+        assert!(state.fallbacks > 10, "seed {seed}: from too large a start the first Hessians are indefinite");
+        // a level that training left too low comes back slowly, its prior having become too tight
+        for _ in 0..9000 {
+            let innovation = problem.innovation();
+            problem.set(&mut objective, &innovation);
+            state.update(&problem.model, &settings, &mut objective);
+        }
+        for l in 0..2 {
+            let off = (state.mean[l] - TRUTH[l]).abs() / state.covariance[(l, l)].sqrt();
+            assert!(off < 3.0, "seed {seed}: level {l} is off by {off} deviations");
+        }
+    }
+}
+
+#[test]
+fn without_training_only_the_guard_keeps_the_levels_positive() {
+    let start = [10.0, 10.0];
+    for (guard, survives) in [(2.0, true), (f64::INFINITY, false)] {
+        let mut problem = TwoLevels::seeded(1, start);
+        let settings = NoiseSettings {
+            rule: NoiseRule::HalfOrDouble,
+            fading: 2f64.powf(2.0 / 1000.0),
+            positivity_guard: guard,
+            ..NoiseSettings::default()
+        };
+        let mut state = NoiseState::start(&problem.model, &settings);
+        state.phase = NoisePhase::Working;
+        let mut objective = Objective::new(6, 2);
+        let positive = (0..3000).all(|_| {
+            let innovation = problem.innovation();
+            problem.set(&mut objective, &innovation);
+            state.update(&problem.model, &settings, &mut objective);
+            state.mean.min() > 0.0
+        });
+        assert_eq!(positive, survives, "guard {guard}");
+        assert_eq!(state.limited > 0, survives, "guard {guard}");
+    }
+}
+
+#[test]
+fn settings_that_the_two_stage_rule_cannot_have_are_refused() {
+    let settings = NoiseSettings { rule: NoiseRule::HalfOrDouble, ..NoiseSettings::default() };
+    assert_eq!(settings.check(5), Ok(()));
+    let error = settings.check(6).unwrap_err();
+    assert!(error.to_string().contains("at most 5"), "{error}");
+    assert_eq!(NoiseSettings::default().check(6), Ok(()));
+    for positivity_guard in [1.0, 0.5, f64::NAN] {
+        assert!(NoiseSettings { positivity_guard, ..settings.clone() }.check(1).is_err());
+    }
+}
+
+#[test]
+fn rule_has_its_name_in_files() {
+    use serde::de::IntoDeserializer;
+    use serde::de::value::{Error, StrDeserializer};
+    let name: StrDeserializer<'_, Error> = "half-or-double".into_deserializer();
+    assert_eq!(NoiseRule::deserialize(name), Ok(NoiseRule::HalfOrDouble));
 }

@@ -42,7 +42,9 @@ impl NoiseState {
             // Far from the level each frame would add the same information, true or not, and slow the search down.
             NoiseRule::Fisher if !self.innovations_agree() => self.rescale_covariance(&best),
             NoiseRule::Fisher => self.accumulate_expected(&best, settings, objective),
-            NoiseRule::Published | NoiseRule::Fixed => self.accumulate_observed(&best, objective),
+            NoiseRule::Published | NoiseRule::HalfOrDouble | NoiseRule::Fixed => {
+                self.accumulate_observed(&best, objective)
+            }
         }
         self.mean.copy_from(&best);
         objective.scratch.best = best;
@@ -62,7 +64,7 @@ impl NoiseState {
 }
 
 /// Returns `(ψ − ψ̂)ᵀ Σ_ψ⁻¹ (ψ − ψ̂)/λ`.
-fn prior_distance(objective: &mut Objective, candidate: &DVector<f64>, centre: &DVector<f64>) -> f64 {
+pub(super) fn prior_distance(objective: &mut Objective, candidate: &DVector<f64>, centre: &DVector<f64>) -> f64 {
     let prior = &objective.scratch.prior;
     let mut distance = 0.0;
     for l in 0..candidate.len() {

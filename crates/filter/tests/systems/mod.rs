@@ -7,6 +7,7 @@ pub mod bridge;
 pub mod drifting_building;
 pub mod hysteretic;
 pub mod numerical_ekf;
+pub mod tall_building;
 
 use nalgebra::{DMatrix, DVector};
 use rand_chacha::ChaCha8Rng;

@@ -5,8 +5,12 @@ use crate::section::{Allowed, Section};
 use crate::settings::{BandLimit, IngestSettings};
 use spandrel_filter::{InputHold, NoiseRule};
 
-const NOISE_RULES: [(&str, NoiseRule); 3] =
-    [("fisher", NoiseRule::Fisher), ("published", NoiseRule::Published), ("fixed", NoiseRule::Fixed)];
+const NOISE_RULES: [(&str, NoiseRule); 4] = [
+    ("fisher", NoiseRule::Fisher),
+    ("published", NoiseRule::Published),
+    ("half-or-double", NoiseRule::HalfOrDouble),
+    ("fixed", NoiseRule::Fixed),
+];
 
 const INPUT_HOLDS: [(&str, InputHold); 2] = [("zero-order", InputHold::Zero), ("first-order", InputHold::First)];
 

@@ -1,0 +1,221 @@
+use super::*;
+use crate::{
+    ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, InputHold, NoiseModel, NoiseParameter, NoiseRule,
+    NoiseSettings, NoiseTarget,
+};
+
+/// Three unequal masses in a row with Rayleigh damping, two forces, absolute accelerations of the first and the last.
+fn matrices() -> ([DMatrix<f64>; 3], DMatrix<f64>, DMatrix<f64>) {
+    let mass = DMatrix::from_diagonal(&DVector::from_row_slice(&[2.0, 1.0, 0.5]));
+    let stiffness = DMatrix::from_row_slice(3, 3, &[90.0, -40.0, 0.0, -40.0, 60.0, -20.0, 0.0, -20.0, 20.0]);
+    let damping = &mass * 0.1 + &stiffness * 0.004;
+    let distribution = DMatrix::from_row_slice(3, 2, &[1.0, 0.0, 0.0, 0.5, 0.0, 1.0]);
+    let mut observation = DMatrix::zeros(2, 6);
+    for (row, floor) in [(0, 0), (1, 2)] {
+        for j in 0..3 {
+            observation[(row, j)] = -stiffness[(floor, j)] / mass[(floor, floor)];
+            observation[(row, 3 + j)] = -damping[(floor, j)] / mass[(floor, floor)];
+        }
+    }
+    ([mass, damping, stiffness], distribution, observation)
+}
+
+fn pair() -> (StateSpace, ModalModel) {
+    let ([mass, damping, stiffness], distribution, observation) = matrices();
+    let of = [&mass, &damping, &stiffness];
+    (
+        StateSpace::second_order(of, &distribution, observation.clone(), DirectTerm::None).unwrap(),
+        ModalModel::new(of, &distribution, &observation, DirectTerm::None).unwrap(),
+    )
+}
+
+#[test]
+fn both_coordinates_have_the_same_derivative_and_the_same_datum() {
+    let (mut physical, mut modal) = pair();
+    let modal_from_physical = modal.modal_from_physical();
+    assert!((modal.physical_from_modal() * &modal_from_physical - DMatrix::identity(6, 6)).amax() < 1e-13);
+    let y = DVector::from_row_slice(&[0.3, -0.2, 0.7, 1.1, -0.4, 0.2]);
+    let q = &modal_from_physical * &y;
+    let f = [0.6, -1.3];
+    physical.linearise_process(y.as_slice(), &f);
+    modal.linearise_process(q.as_slice(), &f);
+    let (mut rate, mut modal_rate) = (DVector::zeros(6), DVector::zeros(6));
+    physical.derivative(rate.as_mut_slice());
+    modal.derivative(modal_rate.as_mut_slice());
+    assert!((modal_from_physical * rate - modal_rate).amax() < 1e-11);
+    physical.linearise_observation(y.as_slice(), &f);
+    modal.linearise_observation(q.as_slice(), &f);
+    let (mut z, mut modal_z) = ([0.0; 2], [0.0; 2]);
+    physical.observe(&mut z);
+    modal.observe(&mut modal_z);
+    assert!(z.iter().zip(modal_z).all(|(a, b)| (a - b).abs() < 1e-11));
+}
+
+#[test]
+fn bound_of_the_rate_is_close_to_the_spectral_radius_and_above_it() {
+    let (physical, modal) = pair();
+    let largest = modal.angular_frequencies().max(); // underdamped: |λ| = ω
+    for bound in [physical.rate_bound(), modal.rate_bound()] {
+        assert!(bound >= largest * (1.0 - 1e-12) && bound < 1.2 * largest, "{bound} for {largest}");
+    }
+}
+
+#[test]
+fn both_transitions_are_the_same_map() {
+    let (physical, modal) = pair();
+    let dense = physical.constant_transition(0.05).unwrap();
+    let diagonal = modal.constant_transition(0.05).unwrap();
+    let (to_physical, to_modal) = (modal.physical_from_modal(), modal.modal_from_physical());
+    assert!((dense.held_input() - &to_physical * diagonal.held_input()).amax() < 1e-14);
+    let covariance = DMatrix::from_fn(6, 6, |i, j| (1.0 + (i * j) as f64).sin());
+    let covariance = &covariance * covariance.transpose();
+    let mut column = DVector::zeros(6);
+    let (mut out, mut modal_out) = (DMatrix::zeros(6, 6), DMatrix::zeros(6, 6));
+    dense.propagate_covariance_to(&covariance, &mut out, &mut column);
+    let modal_covariance = &to_modal * &covariance * to_modal.transpose();
+    diagonal.propagate_covariance_to(&modal_covariance, &mut modal_out, &mut column);
+    assert!((&out - &to_physical * modal_out * to_physical.transpose()).amax() < 1e-11);
+    let mut columns = DMatrix::identity(6, 6);
+    let mut modal_columns = to_modal.clone();
+    dense.mul_mut(&mut columns, &mut column);
+    diagonal.mul_mut(&mut modal_columns, &mut column);
+    assert!((&columns * covariance * columns.transpose() - out).amax() < 1e-11);
+    assert!((columns - to_physical * modal_columns).amax() < 1e-12);
+}
+
+#[test]
+fn damping_that_couples_the_modes_is_refused() {
+    let ([mass, mut damping, stiffness], distribution, observation) = matrices();
+    damping[(2, 2)] += 1.0;
+    let error =
+        ModalModel::new([&mass, &damping, &stiffness], &distribution, &observation, DirectTerm::None).unwrap_err();
+    assert!(error.to_string().contains("classical"), "{error}");
+}
+
+#[test]
+fn sizes_that_do_not_fit_are_refused() {
+    let ([mass, damping, stiffness], distribution, observation) = matrices();
+    let of = [&mass, &damping, &stiffness];
+    let short = observation.columns(0, 5).into_owned();
+    assert!(ModalModel::new(of, &distribution, &short, DirectTerm::None).is_err());
+    assert!(StateSpace::second_order(of, &distribution, short, DirectTerm::None).is_err());
+    let wide = DirectTerm::Known(DMatrix::zeros(2, 3));
+    assert!(ModalModel::new(of, &distribution, &observation, wide).is_err());
+    let indefinite = -&mass;
+    assert!(
+        ModalModel::new([&indefinite, &damping, &stiffness], &distribution, &observation, DirectTerm::None).is_err()
+    );
+}
+
+/// The same model without its constant transition: discretised anew at every step.
+#[derive(Debug, Clone)]
+struct Stepwise(StateSpace);
+
+impl ProcessModel for Stepwise {
+    fn state_len(&self) -> usize {
+        self.0.state_len()
+    }
+    fn parameter_len(&self) -> usize {
+        0
+    }
+    fn excitation_len(&self) -> usize {
+        self.0.excitation_len()
+    }
+    fn linearise_process(&mut self, state: &[f64], excitation: &[f64]) {
+        self.0.linearise_process(state, excitation);
+    }
+    fn derivative(&self, out: &mut [f64]) {
+        self.0.derivative(out);
+    }
+    fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+        self.0.jacobian_mul(columns, out);
+    }
+    fn excitation_matrix(&self, out: &mut DMatrix<f64>) {
+        self.0.excitation_matrix(out);
+    }
+    fn rate_bound(&self) -> f64 {
+        self.0.rate_bound()
+    }
+}
+
+impl ObservationModel for Stepwise {
+    fn observation_len(&self) -> usize {
+        self.0.observation_len()
+    }
+    fn linearise_observation(&mut self, state: &[f64], excitation: &[f64]) {
+        self.0.linearise_observation(state, excitation);
+    }
+    fn observe(&self, out: &mut [f64]) {
+        ObservationModel::observe(&self.0, out);
+    }
+    fn observation_jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+        self.0.observation_jacobian_mul(columns, out);
+    }
+    fn feedthrough(&self) -> Option<&DMatrix<f64>> {
+        self.0.feedthrough()
+    }
+}
+
+fn settings(model: &impl ProcessModel, rule: NoiseRule, hold: InputHold) -> FilterSettings {
+    let n = model.state_len();
+    let correlated = DMatrix::from_row_slice(2, 2, &[1.0, 0.4, 0.4, 0.7]);
+    let parameter = |name: &str, target, pattern, start: f64| NoiseParameter {
+        name: name.to_owned(),
+        target,
+        pattern,
+        start,
+        start_std: start / 3.0,
+    };
+    let mut noise = NoiseModel::known(DMatrix::identity(2, 2) * 0.1, DMatrix::zeros(2, 2));
+    noise.parameters = vec![
+        parameter("forces", NoiseTarget::Excitation, correlated, 3.0),
+        parameter("sensors", NoiseTarget::Sensors, DMatrix::identity(2, 2), 0.5),
+    ];
+    let mut settings = FilterSettings::new(0.05, DVector::repeat(n, 0.1), DVector::repeat(n, 0.3), noise);
+    settings.fading = FadingFactor::from_half_life(500.0).unwrap();
+    settings.input_hold = hold;
+    settings.noise_settings = NoiseSettings { rule, training_steps: 40, ..NoiseSettings::default() };
+    settings
+}
+
+/// Runs 120 frames with known excitation, and a missing sample of a channel, of the excitation and of everything.
+fn run<M: ProcessModel + ObservationModel>(model: M, settings: FilterSettings) -> ExtendedKalmanFilter<M> {
+    let mut filter = ExtendedKalmanFilter::new(model, settings).unwrap();
+    for k in 0..120 {
+        let t = 0.05 * f64::from(k);
+        let mut observations = [2.0 * (3.0 * t).sin() - 0.4 * (29.0 * t).cos(), (4.1 * t).cos()];
+        let mut excitation = [(2.0 * t).sin(), 0.3 * (7.0 * t).cos()];
+        match k % 17 {
+            3 => observations[1] = f64::NAN,
+            8 => excitation[0] = f64::NAN,
+            13 => observations = [f64::NAN; 2],
+            _ => {}
+        }
+        filter.step(Frame { observations: &observations, excitation: &excitation }).unwrap();
+    }
+    filter
+}
+
+#[test]
+fn constant_transition_gives_what_the_series_gives() {
+    let ([mass, damping, stiffness], distribution, observation) = matrices();
+    let direct = DMatrix::from_row_slice(2, 2, &[0.5, 0.0, 0.0, 2.0]);
+    for direct in [DirectTerm::None, DirectTerm::Known(direct.clone()), DirectTerm::Whole(direct)] {
+        for rule in [NoiseRule::Fixed, NoiseRule::Published, NoiseRule::Fisher, NoiseRule::HalfOrDouble] {
+            for hold in [InputHold::Zero, InputHold::First] {
+                let of = [&mass, &damping, &stiffness];
+                let model = StateSpace::second_order(of, &distribution, observation.clone(), direct.clone()).unwrap();
+                let settings = settings(&model, rule, hold);
+                let constant = run(model.clone(), settings.clone());
+                let stepwise = run(Stepwise(model), settings);
+                let label = format!("{direct:?}, {rule:?}, {hold:?}");
+                let scale = stepwise.mean().amax();
+                assert!((constant.mean() - stepwise.mean()).amax() < 1e-10 * scale, "{label}");
+                let scale = stepwise.covariance().amax();
+                assert!((constant.covariance() - stepwise.covariance()).amax() < 1e-10 * scale, "{label}");
+                let ratio = constant.noise().mean.component_div(&stepwise.noise().mean);
+                assert!(ratio.iter().all(|ratio| (ratio - 1.0).abs() < 1e-9), "{label}");
+            }
+        }
+    }
+}
