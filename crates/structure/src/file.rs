@@ -8,6 +8,7 @@ mod damping;
 mod excitation;
 mod filter;
 mod matrices;
+mod mesh;
 mod model;
 mod node;
 mod parameter;

@@ -50,9 +50,13 @@ mod structure;
 
 mod diagnostics;
 mod file;
+mod finite_elements;
+mod frame;
 mod matrix_file;
+mod mesh;
 mod section;
 mod shear_building;
+mod truss;
 
 mod assembly;
 mod check;
@@ -62,6 +66,7 @@ mod linear_form;
 mod model;
 mod modes;
 mod simulator;
+mod sparse_cholesky;
 mod steady_filter;
 
 pub use alert_rule::{AlertRule, Reference};

@@ -4,7 +4,8 @@
 //! substructures and `C = α M + β K` or a given matrix. Every kind of model of the structure file that is linear
 //! becomes one of these.
 
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use crate::sparse_cholesky::SparseCholesky;
+use nalgebra::{DMatrix, DVector};
 use nalgebra_sparse::CsrMatrix;
 
 /// More degrees of freedom than this are refused: eigenvalues and covariances are dense, and a filter of this size is far
@@ -16,8 +17,8 @@ pub(crate) const LARGEST_MODEL: usize = 1000;
 pub(crate) enum Mass {
     /// A diagonal matrix, by its diagonal.
     Lumped(DVector<f64>),
-    /// Any symmetric matrix, with its factor `M = L Lᵀ`.
-    Consistent { matrix: DMatrix<f64>, factor: Cholesky<f64, Dyn> },
+    /// Any symmetric matrix, with its factor.
+    Consistent { matrix: DMatrix<f64>, factor: SparseCholesky },
 }
 
 impl Mass {
@@ -30,13 +31,11 @@ impl Mass {
 
     /// Returns `M⁻¹ X` for given columns `X`.
     pub(crate) fn solve(&self, mut columns: DMatrix<f64>) -> DMatrix<f64> {
-        match self {
-            Self::Lumped(diagonal) => {
-                for mut column in columns.column_iter_mut() {
-                    column.component_div_assign(diagonal);
-                }
+        for mut column in columns.column_iter_mut() {
+            match self {
+                Self::Lumped(diagonal) => column.component_div_assign(diagonal),
+                Self::Consistent { factor, .. } => factor.solve_mut(column.as_mut_slice()),
             }
-            Self::Consistent { factor, .. } => factor.solve_mut(&mut columns),
         }
         columns
     }
@@ -59,6 +58,19 @@ pub(crate) enum Damping {
     Matrix(CsrMatrix<f64>),
 }
 
+impl Damping {
+    /// None yet: the file says it in a table of its own.
+    pub(crate) const NONE: Self = Self::Rayleigh { alpha_per_s: 0.0, beta_s: 0.0 };
+}
+
+/// A direction in which the ground can move, in a model with geometry.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct GroundDirection {
+    pub(crate) name: &'static str,
+    /// `ι` (N_d): displacement of each degree of freedom when the ground moves by 1 in this direction.
+    pub(crate) influence: Vec<f64>,
+}
+
 /// A linear structure without its excitation and sensors; dimensions agree, checked where it is built.
 #[derive(Debug, Clone)]
 pub(crate) struct LinearSystem {
@@ -66,6 +78,8 @@ pub(crate) struct LinearSystem {
     pub(crate) substructures: Vec<Substructure>,
     pub(crate) damping: Damping,
     pub(crate) degrees_of_freedom: Vec<String>,
+    /// Directions of ground motion; empty where the model has no geometry.
+    pub(crate) ground_directions: Vec<GroundDirection>,
 }
 
 impl LinearSystem {

@@ -14,8 +14,9 @@ use crate::excitation::Action;
 use crate::linear_system::{Damping, LinearSystem, Mass, dense};
 use crate::modes::Modes;
 use crate::parameter::{Parameter, Scales};
+use crate::sparse_cholesky::SparseCholesky;
 use crate::structure::Structure;
-use nalgebra::{Cholesky, DMatrix, Dyn};
+use nalgebra::DMatrix;
 use point::Point;
 use response::Response;
 use spandrel_filter::{ObservationModel, ProcessModel};
@@ -37,7 +38,7 @@ pub struct StructureModel {
 pub(crate) struct Fixed {
     assembly: Assembly,
     /// Factor of a mass matrix that is not diagonal.
-    mass_factor: Option<Cholesky<f64, Dyn>>,
+    mass_factor: Option<SparseCholesky>,
     /// `1/m` (1/kg) as designed; ones beside a factor.
     reciprocal_masses: Vec<f64>,
     parameters: Vec<Parameter>,
@@ -204,8 +205,10 @@ impl ProcessModel for StructureModel {
         }
     }
 
-    /// Every eigenvalue `s` of the pencil `s² + c s + k`, with `c ≤ c_max` and `k ≤ ω_max²` Rayleigh quotients of
-    /// `M⁻¹ C` and `M⁻¹ K`, has `|s| ≤ max(√k, c)`.
+    /// Every eigenvalue `s` solves `s² + c s + k = 0`, with `c` and `k` Rayleigh quotients of `M⁻¹ C` and `M⁻¹ K`.
+    ///
+    /// With Rayleigh damping `c = α + β k`: `|s|` is `√k` unless the mode is overdamped, and no more than `α` or than that
+    /// of the highest mode. With a given damping matrix `|s| ≤ max(√k, c)`, each at its largest.
     fn rate_bound(&self) -> f64 {
         let RateBounds { stiffness, damping, has_fixed_stiffness } = &self.fixed.bounds;
         let floor = if *has_fixed_stiffness { 1.0 } else { 0.0 };
@@ -219,8 +222,13 @@ impl ProcessModel for StructureModel {
             }
         }
         let k = stiffness * largest_stiffness / smallest_mass;
-        let c = self.process.alpha_per_s.abs() + self.process.beta_s.abs() * k + damping / smallest_mass;
-        k.sqrt().max(c)
+        let (alpha, c) = (self.process.alpha_per_s.abs(), damping / smallest_mass);
+        if c > 0.0 {
+            return k.sqrt().max(c);
+        }
+        let c = alpha + self.process.beta_s.abs() * k;
+        let discriminant = c * c - 4.0 * k;
+        if discriminant > 0.0 { alpha.max((c + discriminant.sqrt()) / 2.0) } else { alpha.max(k.sqrt()) }
     }
 }
 

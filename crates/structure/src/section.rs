@@ -51,7 +51,7 @@ impl fmt::Display for Allowed {
     }
 }
 
-/// A degree of freedom as a file names it: by number from 1, or by name.
+/// A degree of freedom or a node as a file names it: by number from 1, or by name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum NumberOrName {
     Number(i64),
@@ -148,6 +148,21 @@ impl<'t> Section<'t> {
     /// Reads a list of numbers.
     pub(crate) fn numbers(&mut self, key: &'static str, allowed: Allowed) -> Option<Spanned<Vec<f64>>> {
         let value = self.value(key)?;
+        self.check_numbers(key, value, allowed)
+    }
+
+    /// Reads a list of numbers under a name chosen by the user, an entry of [`Section::entries`].
+    pub(crate) fn entry_numbers(
+        &self,
+        key: &str,
+        name: &Spanned<String>,
+        value: &Spanned<DeValue<'t>>,
+        allowed: Allowed,
+    ) -> Option<Spanned<Vec<f64>>> {
+        self.check_numbers(&format!("{key}.{}", name.get_ref()), value, allowed)
+    }
+
+    fn check_numbers(&self, key: &str, value: &Spanned<DeValue<'t>>, allowed: Allowed) -> Option<Spanned<Vec<f64>>> {
         let Some(entries) = value.get_ref().as_array() else {
             self.refuse(key, value, "must be a list of numbers");
             return None;
@@ -283,26 +298,52 @@ impl<'t> Section<'t> {
     /// Reads a number from 1 or a name.
     pub(crate) fn number_or_name(&mut self, key: &'static str) -> Option<Spanned<NumberOrName>> {
         let value = self.value(key)?;
-        self.check_number_or_name(key, value)
+        self.check_number_or_name(key, value, "degree of freedom")
     }
 
     /// Reads a list of numbers from 1 or names; `None` as soon as one is neither.
     pub(crate) fn numbers_or_names(&mut self, key: &'static str) -> Option<Spanned<Vec<Spanned<NumberOrName>>>> {
         let value = self.value(key)?;
+        self.check_numbers_or_names(key, value, "degree of freedom")
+    }
+
+    /// Reads a list of nodes by number or name; `None` as soon as one is neither.
+    pub(crate) fn nodes(&mut self, key: &'static str) -> Option<Spanned<Vec<Spanned<NumberOrName>>>> {
+        let value = self.value(key)?;
+        self.check_numbers_or_names(key, value, "node")
+    }
+
+    /// Reads a list of lists of nodes; `None` as soon as one is none.
+    pub(crate) fn paths(&mut self, key: &'static str) -> Option<Vec<Spanned<Vec<Spanned<NumberOrName>>>>> {
+        let value = self.value(key)?;
         let Some(entries) = value.get_ref().as_array() else {
-            self.refuse(key, value, "must be a list of numbers or names of degrees of freedom");
+            self.refuse(key, value, "must be a list of lists of nodes");
             return None;
         };
-        let all: Vec<_> = entries.iter().map(|entry| self.check_number_or_name(key, entry)).collect();
+        let all: Vec<_> = entries.iter().map(|entry| self.check_numbers_or_names(key, entry, "node")).collect();
+        all.into_iter().collect()
+    }
+
+    fn check_numbers_or_names(
+        &self,
+        key: &str,
+        value: &Spanned<DeValue<'t>>,
+        of: &str,
+    ) -> Option<Spanned<Vec<Spanned<NumberOrName>>>> {
+        let Some(entries) = value.get_ref().as_array() else {
+            self.refuse(key, value, format!("must be a list, each the number or the name of a {of}"));
+            return None;
+        };
+        let all: Vec<_> = entries.iter().map(|entry| self.check_number_or_name(key, entry, of)).collect();
         let all: Option<Vec<_>> = all.into_iter().collect();
         all.map(|all| Spanned::new(value.span(), all))
     }
 
-    fn check_number_or_name(&self, key: &str, value: &Spanned<DeValue<'t>>) -> Option<Spanned<NumberOrName>> {
+    fn check_number_or_name(&self, key: &str, value: &Spanned<DeValue<'t>>, of: &str) -> Option<Spanned<NumberOrName>> {
         let name = value.get_ref().as_str().map(|name| NumberOrName::Name(name.to_owned()));
         let read = name.or_else(|| whole_number(value.get_ref()).map(NumberOrName::Number));
         if read.is_none() {
-            self.refuse(key, value, "must be the number or the name of a degree of freedom");
+            self.refuse(key, value, format!("must be the number or the name of a {of}"));
         }
         read.map(|read| Spanned::new(value.span(), read))
     }

@@ -3,6 +3,7 @@
 use super::matrices::beside;
 use super::node::{ChannelRead, degree_of_freedom};
 use super::{check_unique, find_name};
+use crate::diagnostics::one_of;
 use crate::excitation::{Action, Excitation, Measured};
 use crate::linear_system::LinearSystem;
 use crate::matrix_file::{self, Unusable};
@@ -57,7 +58,7 @@ fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<Ex
     let measured_on = section.name("measured-on");
     let kind = kind.map(Spanned::into_inner);
     let action = match kind {
-        Some(Kind::Ground) => read_influence(&mut section, context.system),
+        Some(Kind::Ground) => read_ground(&mut section, context.system),
         Some(Kind::Force) => {
             let dof = section.number_or_name("dof");
             let dof = section.require("dof", "must be the number or the name of a degree of freedom", dof);
@@ -65,7 +66,7 @@ fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<Ex
                 .map(|degree_of_freedom| Action::Force { degree_of_freedom })
         }
         None => {
-            section.leave_unread(&["dof", "influence"]);
+            section.leave_unread(&["dof", "influence", "direction"]);
             None
         }
     };
@@ -90,6 +91,34 @@ fn read_std(section: &mut Section<'_>, rate_hz: Option<f64>) -> Option<f64> {
     let of_intensity =
         |intensity: Spanned<f64>| Some((2.0 * std::f64::consts::PI * intensity.into_inner() * rate_hz?).sqrt());
     std.map(Spanned::into_inner).or_else(|| intensity.and_then(of_intensity))
+}
+
+/// Reads how a ground motion moves the structure: its direction in a model with geometry, or an influence vector.
+fn read_ground(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Action> {
+    let Some(direction) = section.text("direction") else {
+        let geometry = system.is_some_and(|system| !system.ground_directions.is_empty());
+        if geometry && !section.contains("influence") {
+            let allowed = "must say in which direction the ground moves (or give influence)";
+            section.require("direction", allowed, None::<()>);
+        }
+        return read_influence(section, system);
+    };
+    if section.contains("influence") {
+        let allowed = "must not stand beside direction, which says the same";
+        section.diagnostics().report(section.span(), section.key("influence"), "is given", allowed);
+    }
+    section.leave_unread(&["influence"]);
+    let known = &system?.ground_directions;
+    let found = known.iter().find(|known| known.name == direction.get_ref());
+    if found.is_none() {
+        let allowed = match known[..] {
+            [] => "must not be given for a model without directions, see influence".to_owned(),
+            _ => one_of(direction.get_ref(), known.iter().map(|known| known.name)),
+        };
+        let (key, found) = (section.key("direction"), format!("is \"{}\"", direction.get_ref()));
+        section.diagnostics().report(direction.span(), key, found, allowed);
+    }
+    Some(Action::Ground { influence: found?.influence.clone() })
 }
 
 /// Reads the influence vector `ι` of a ground motion: a list, a file, or all ones.

@@ -1,6 +1,7 @@
 //! Reads `[model]`: the kind, and the shear building.
 
 use super::matrices::read_matrices;
+use super::mesh::{MeshKind, read_mesh};
 use crate::linear_system::{Damping, LARGEST_MODEL, LinearSystem};
 use crate::modes::Modes;
 use crate::section::{Allowed, Section};
@@ -9,10 +10,17 @@ use crate::shear_building::ShearBuilding;
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     ShearBuilding,
+    Frame,
+    Truss,
     Matrices,
 }
 
-const KINDS: [(&str, Kind); 2] = [("shear-building", Kind::ShearBuilding), ("matrices", Kind::Matrices)];
+const KINDS: [(&str, Kind); 4] = [
+    ("shear-building", Kind::ShearBuilding),
+    ("frame", Kind::Frame),
+    ("truss", Kind::Truss),
+    ("matrices", Kind::Matrices),
+];
 
 /// Reads `[model]`; the damping of the result is still zero.
 pub(super) fn read_model(mut section: Section<'_>) -> Option<LinearSystem> {
@@ -21,9 +29,12 @@ pub(super) fn read_model(mut section: Section<'_>) -> Option<LinearSystem> {
         Kind::ShearBuilding => read_shear_building(&mut section).map(|building| LinearSystem {
             mass: building.mass(),
             substructures: building.substructures(),
-            damping: Damping::Rayleigh { alpha_per_s: 0.0, beta_s: 0.0 },
+            damping: Damping::NONE,
             degrees_of_freedom: building.degrees_of_freedom(),
+            ground_directions: Vec::new(),
         }),
+        Kind::Frame => read_mesh(&mut section, MeshKind::Frame),
+        Kind::Truss => read_mesh(&mut section, MeshKind::Truss),
         Kind::Matrices => read_matrices(&mut section),
     };
     let system = system.filter(|system| check_frequencies(&section, system));

@@ -160,9 +160,9 @@ impl Point {
         let len = columns.nrows();
         for (column, out) in columns.as_slice().chunks_exact(len).zip(out.as_mut_slice().chunks_exact_mut(len)) {
             let (x, rest) = column.split_at(free);
-            let (v, _) = rest.split_at(free);
+            let (v, theta) = rest.split_at(free);
             let (out_x, rest) = out.split_at_mut(free);
-            let (out_v, _) = rest.split_at_mut(free);
+            let (out_v, out_theta) = rest.split_at_mut(free);
             // the rows of x lend their place to x + β ẋ
             for ((s, x), v) in out_x.iter_mut().zip(x).zip(v) {
                 *s = x + self.beta_s * v;
@@ -172,13 +172,9 @@ impl Point {
                 fixed.assembly.mul_add_to(damping, v, out_v); // + C V
             }
             out_x.copy_from_slice(v);
-        }
-        if let Some(factor) = &fixed.mass_factor {
-            factor.solve_mut(&mut out.rows_mut(free, free));
-        }
-        for (column, out) in columns.as_slice().chunks_exact(len).zip(out.as_mut_slice().chunks_exact_mut(len)) {
-            let (v, theta) = column[free..].split_at(free);
-            let (out_v, out_theta) = out[free..].split_at_mut(free);
+            if let Some(factor) = &fixed.mass_factor {
+                factor.solve_mut(out_v);
+            }
             let by_mass = fixed.reciprocal_masses.iter().zip(&self.mass_factors_inverse);
             for ((entry, v), (reciprocal, factor)) in out_v.iter_mut().zip(v).zip(by_mass) {
                 *entry = -reciprocal * factor * *entry - self.alpha_per_s * v; // −M⁻¹ (…) − α V
@@ -198,8 +194,7 @@ impl Fixed {
     /// Replaces a vector `r` (N_d) by `M⁻¹ r` with the mass as designed.
     fn divide_by_mass(&self, r: &mut [f64]) {
         if let Some(factor) = &self.mass_factor {
-            let rows = r.len();
-            factor.solve_mut(&mut nalgebra::DMatrixViewMut::from_slice(r, rows, 1));
+            factor.solve_mut(r);
         }
         for (entry, reciprocal) in r.iter_mut().zip(&self.reciprocal_masses) {
             *entry *= reciprocal;

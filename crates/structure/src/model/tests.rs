@@ -128,6 +128,45 @@ fn of_matrices(mass: &str, damping: &str) -> Structure {
     parse_at(&text, &path)
 }
 
+/// One node of a mesh that is free, with its three degrees of freedom: the end of an inclined beam, or the foot of bars.
+fn of_members(model: &str) -> Structure {
+    parse(&format!(
+        r#"
+        [structure]
+        name = "members"
+        sampling-rate-hz = 100
+        [damping]
+        kind = "rayleigh"
+        alpha-per-s = 0.3
+        beta-s = 0.004
+        [[parameter]]
+        name = "first"
+        scales = "stiffness"
+        of = ["first"]
+        [[parameter]]
+        name = "beta"
+        scales = "damping-beta"
+        [model]
+        section = [{{ name = "steel", area-m2 = 1e-4, modulus-pa = 1e8, density-kg-per-m3 = 8000, {model}
+        {EXCITATIONS}{}"#,
+        channels()
+    ))
+}
+
+const BEAM: &str = r#"second-moment-m4 = 1e-5 }]
+kind = "frame"
+nodes = { 1 = [0, 0], 2 = [1, 2] }
+group = [{ name = "first", section = "steel", paths = [[1, 2]] }]
+support = [{ nodes = [1], fixed = ["x", "y", "r"] }]
+"#;
+
+const TRIPOD: &str = r#"}]
+kind = "truss"
+nodes = { 1 = [0, 0, 0], 2 = [1, 0, 2], 3 = [-1, 1, 2], 4 = [0, -1, 2] }
+group = [{ name = "first", section = "steel", paths = [[1, 2], [1, 3]] }, { name = "second", section = "steel", paths = [[1, 4]] }]
+support = [{ nodes = [2, 3, 4], fixed = ["x", "y", "z"] }]
+"#;
+
 fn examples() -> Vec<(&'static str, Structure)> {
     let rayleigh = "kind = \"rayleigh\"\nalpha-per-s = 0.3\nbeta-s = 0.004";
     let given = "kind = \"matrix\"\nfile = \"c.mtx\"";
@@ -137,6 +176,8 @@ fn examples() -> Vec<(&'static str, Structure)> {
         ("consistent mass, Rayleigh damping", of_matrices(CONSISTENT_MASS, rayleigh)),
         ("consistent mass, damping matrix", of_matrices(CONSISTENT_MASS, given)),
         ("lumped mass, damping matrix", of_matrices(lumped, given)),
+        ("frame", of_members(BEAM)),
+        ("truss", of_members(TRIPOD)),
     ]
 }
 
@@ -359,6 +400,7 @@ fn the_published_chain_has_its_frequency() {
         substructures: stiffness.substructures(),
         damping: Damping::Rayleigh { alpha_per_s: 0.2998, beta_s: 2.536e-4 },
         degrees_of_freedom: stiffness.degrees_of_freedom(),
+        ground_directions: Vec::new(),
     };
     let modes = Modes::of(&system, &[1.0; 5]).unwrap();
     assert!((modes.angular_frequencies[0] / (2.0 * PI) - 3.203).abs() < 0.001);
