@@ -4,6 +4,7 @@
 //! comes out only when there is none.
 
 mod alert;
+mod chain;
 mod damping;
 mod excitation;
 mod filter;

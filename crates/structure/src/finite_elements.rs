@@ -113,6 +113,8 @@ impl FiniteElements {
             damping: Damping::NONE,
             ground_directions: self.freedoms.ground_directions(),
             degrees_of_freedom: self.freedoms.names,
+            storeys: Vec::new(),
+            hysteresis: None,
         })
     }
 }

@@ -29,8 +29,8 @@
 //!
 //! Logic:
 //!
-//! - [`StructureModel`]: the traits of `spandrel-filter` for a linear structure
-//! - [`Simulator`]: exact responses, damage, and faults of sensors
+//! - [`StructureModel`]: the traits of `spandrel-filter` for a structure, linear or hysteretic
+//! - [`Simulator`]: responses, damage, and faults of sensors
 //! - [`CheckReport`]: frequencies, damping, and what can be identified
 //!
 //! Not for systems that are no structures: implement the traits of `spandrel-filter` instead.
@@ -39,6 +39,7 @@ mod alert_rule;
 mod error;
 mod excitation;
 mod filter_plan;
+mod hysteresis;
 mod linear_system;
 mod node;
 mod noise_level;

@@ -88,3 +88,32 @@ fn the_truss_converges_from_wrong_stiffnesses() {
 fn the_dome_converges_from_wrong_stiffnesses() {
     assert_converges("dome.toml", 6, 4.0, 0.05);
 }
+
+#[test]
+fn the_hysteretic_chain_of_ten_converges_from_wrong_stiffnesses() {
+    assert_converges("bouc-wen-ten.toml", 6, 20.0, 0.02);
+}
+
+/// All of its parameters, the constants of the hysteresis included, from 20 % off.
+#[test]
+fn the_hysteretic_chain_of_five_is_identified() {
+    let filter = run_from(&example("bouc-wen-five.toml"), 0.2, 40.0, 1);
+    assert_identified(&filter, &[1.0; 10], 0.2);
+}
+
+#[test]
+fn the_hysteretic_oscillator_is_identified() {
+    let filter = run_from(&example("hysteretic-oscillator.toml"), 0.1, 200.0, 1);
+    assert_identified(&filter, &[1.0; 4], 0.2);
+}
+
+#[test]
+fn stiffnesses_and_dashpots_of_a_building_are_identified() {
+    // the second storey begins to soften after 8 s
+    assert_identified(&run_from(&example("dashpot-building.toml"), 0.1, 7.9, 1), &[1.0; 8], 0.2);
+}
+
+#[test]
+fn the_high_rise_converges_from_wrong_stiffnesses() {
+    assert_converges("high-rise.toml", 7, 4.0, 0.05);
+}

@@ -59,8 +59,15 @@ pub(super) fn read_matrices(section: &mut Section<'_>) -> Option<LinearSystem> {
         return None;
     }
     let substructures = parts.into_iter().map(|(name, part)| Substructure { name, stiffness: part.matrix }).collect();
-    let system =
-        LinearSystem { mass, substructures, damping: Damping::NONE, degrees_of_freedom, ground_directions: Vec::new() };
+    let system = LinearSystem {
+        mass,
+        substructures,
+        damping: Damping::NONE,
+        degrees_of_freedom,
+        ground_directions: Vec::new(),
+        storeys: Vec::new(),
+        hysteresis: None,
+    };
     if let Some(free) = matrix_file::free_degree_of_freedom(&system.nominal_stiffness()) {
         let found = format!("leave degree of freedom {} free to move", system.degrees_of_freedom[free]);
         let allowed = "must hold the structure together: their sum must be positive definite";

@@ -35,7 +35,20 @@ fn line_of(text: &str, piece: &str) -> usize {
 
 #[test]
 fn every_example_is_read() {
-    for name in ["demo", "output-only", "matrices", "noisy", "three-pier-bridge", "fourteen-bay-truss", "dome"] {
+    for name in [
+        "demo",
+        "output-only",
+        "matrices",
+        "noisy",
+        "three-pier-bridge",
+        "fourteen-bay-truss",
+        "dome",
+        "bouc-wen-ten",
+        "bouc-wen-five",
+        "hysteretic-oscillator",
+        "dashpot-building",
+        "high-rise",
+    ] {
         let path = examples().join(name).with_extension("toml");
         if let Err(error) = Structure::read(&path) {
             panic!("{error}");
