@@ -15,6 +15,7 @@ mod node;
 mod parameter;
 mod record;
 mod simulation;
+mod tower;
 
 use crate::diagnostics::{Diagnostics, one_of};
 use crate::error::StructureError;

@@ -57,6 +57,7 @@ mod matrix_file;
 mod mesh;
 mod section;
 mod shear_building;
+mod tower;
 mod truss;
 
 mod assembly;

@@ -117,3 +117,15 @@ fn stiffnesses_and_dashpots_of_a_building_are_identified() {
 fn the_high_rise_converges_from_wrong_stiffnesses() {
     assert_converges("high-rise.toml", 7, 4.0, 0.05);
 }
+
+/// The tower with 12 beams in place of 37: a step of the whole one takes longer than a test should.
+#[test]
+fn the_tower_converges_from_wrong_stiffnesses() {
+    let mut text =
+        example("tower.toml").text().replace("elements = 27", "elements = 8").replace("elements = 10", "elements = 4");
+    for (node, nearest) in [(4, 1), (8, 2), (13, 4), (18, 5), (23, 7), (27, 8), (32, 10), (37, 12)] {
+        text = text.replace(&format!("\"node-{node}-"), &format!("\"node-{nearest}-"));
+    }
+    let tower = Structure::parse(&text, Path::new("tower.toml")).unwrap_or_else(|error| panic!("{error}"));
+    assert_identified(&run_from(&tower, 0.2, 1.0, 1), &[1.0; 2], 0.01);
+}

@@ -323,7 +323,10 @@ pub(super) fn check_held(section: &Section<'_>, system: Option<LinearSystem>) ->
         section.diagnostics().report(section.span(), section.key("kind"), "has no natural frequencies", allowed);
         return None;
     };
-    if let Some(free) = matrix_file::free_degree_of_freedom(&stiffness) {
+    // to a unit diagonal: forces and moments, short members and long ones differ by orders of magnitude
+    let scale: Vec<f64> = stiffness.diagonal().iter().map(|k| if *k > 0.0 { 1.0 / k.sqrt() } else { 1.0 }).collect();
+    let scaled = stiffness.map_with_location(|row, column, k| k * scale[row] * scale[column]);
+    if let Some(free) = matrix_file::free_degree_of_freedom(&scaled) {
         let found = format!("leaves {} free to move", system.degrees_of_freedom[free]);
         let allowed = "must be held by its supports and members";
         section.diagnostics().report(section.span(), section.key("support"), found, allowed);

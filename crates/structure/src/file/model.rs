@@ -3,6 +3,7 @@
 use super::chain::{read_chain, read_hysteretic_chain};
 use super::matrices::read_matrices;
 use super::mesh::{MeshKind, read_mesh};
+use super::tower::read_tower;
 use crate::linear_system::LinearSystem;
 use crate::modes::Modes;
 use crate::section::Section;
@@ -13,14 +14,16 @@ enum Kind {
     BoucWen,
     Frame,
     Truss,
+    Tower,
     Matrices,
 }
 
-const KINDS: [(&str, Kind); 5] = [
+const KINDS: [(&str, Kind); 6] = [
     ("shear-building", Kind::ShearBuilding),
     ("bouc-wen", Kind::BoucWen),
     ("frame", Kind::Frame),
     ("truss", Kind::Truss),
+    ("tower", Kind::Tower),
     ("matrices", Kind::Matrices),
 ];
 
@@ -32,6 +35,7 @@ pub(super) fn read_model(mut section: Section<'_>) -> Option<LinearSystem> {
         Kind::BoucWen => read_hysteretic_chain(&mut section),
         Kind::Frame => read_mesh(&mut section, MeshKind::Frame),
         Kind::Truss => read_mesh(&mut section, MeshKind::Truss),
+        Kind::Tower => read_tower(&mut section),
         Kind::Matrices => read_matrices(&mut section),
     };
     let system = system.filter(|system| check_frequencies(&section, system));

@@ -48,6 +48,7 @@ fn every_example_is_read() {
         "hysteretic-oscillator",
         "dashpot-building",
         "high-rise",
+        "tower",
     ] {
         let path = examples().join(name).with_extension("toml");
         if let Err(error) = Structure::read(&path) {
