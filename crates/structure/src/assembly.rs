@@ -1,7 +1,7 @@
-//! The stiffness matrix of scaled substructures in one sparse pattern, made anew from values only.
+//! The matrices of scaled parts, stiffness and damping, in one sparse pattern, made anew from values only.
 //!
-//! `K(θ) = K_fixed + Σ θ_p K_p` by rows: the pattern holds every entry of every substructure (and of a given damping
-//! matrix), so that a change of `θ` touches values and never the pattern.
+//! `K(θ) = K_fixed + Σ θ_p K_p` by rows: the pattern holds every entry of every substructure and of the damping, so that a
+//! change of `θ` touches values and never the pattern.
 
 use crate::linear_system::{Damping, LinearSystem};
 use crate::parameter::{Parameter, Scales};
@@ -19,11 +19,50 @@ struct Entry {
     value: f64,
 }
 
-/// All substructures that one parameter scales.
+/// All parts that one parameter scales.
 #[derive(Debug, Clone)]
 struct Scaled {
     parameter: usize,
     entries: Vec<Entry>,
+}
+
+/// A matrix made of parts: `X(θ) = X_fixed + Σ θ_p X_p`.
+#[derive(Debug, Clone)]
+pub(crate) struct Sum {
+    /// Values of the parts that no parameter scales.
+    fixed: Vec<f64>,
+    scaled: Vec<Scaled>,
+}
+
+impl Sum {
+    /// Writes the values at `θ`.
+    pub(crate) fn assemble_to(&self, theta: &[f64], values: &mut [f64]) {
+        values.copy_from_slice(&self.fixed);
+        for scaled in &self.scaled {
+            let factor = theta[scaled.parameter];
+            for entry in &scaled.entries {
+                values[entry.position] += factor * entry.value;
+            }
+        }
+    }
+
+    /// Returns the range of rows in which what one parameter scales has entries.
+    pub(crate) fn scaled_rows(&self, parameter: usize) -> Range<usize> {
+        let rows = || self.of(parameter).map(|entry| entry.row);
+        let first = rows().min().unwrap_or(0);
+        first..rows().max().map_or(first, |last| last + 1)
+    }
+
+    /// Adds `X_p u` of what one parameter scales to `out` (N_d); nothing for other parameters.
+    pub(crate) fn mul_scaled_add_to(&self, parameter: usize, u: &[f64], out: &mut [f64]) {
+        for entry in self.of(parameter) {
+            out[entry.row] += entry.value * u[entry.column];
+        }
+    }
+
+    fn of(&self, parameter: usize) -> impl Iterator<Item = &Entry> {
+        self.scaled.iter().filter(move |scaled| scaled.parameter == parameter).flat_map(|scaled| &scaled.entries)
+    }
 }
 
 /// The common pattern of stiffness and damping, and what its values are made of.
@@ -31,21 +70,22 @@ struct Scaled {
 pub(crate) struct Assembly {
     row_starts: Vec<usize>,
     columns: Vec<usize>,
-    /// `K_fixed` (N/m): the substructures that no parameter scales.
-    fixed: Vec<f64>,
-    scaled: Vec<Scaled>,
-    /// A given `C` (N s/m) in the same pattern.
-    damping: Option<Vec<f64>>,
+    /// `K` (N/m): forces by displacements, or by the hysteretic displacements of springs.
+    stiffness: Sum,
+    /// `C` (N s/m) of dashpots or a given matrix.
+    damping: Option<Sum>,
 }
 
 impl Assembly {
     pub(crate) fn new(system: &LinearSystem, parameters: &[Parameter]) -> Self {
-        let mut positions: BTreeMap<(usize, usize), usize> = BTreeMap::new();
-        let given_damping = match &system.damping {
+        let stiffness: Vec<_> = (0..system.substructures.len()).map(|part| system.forces(part)).collect();
+        let damping: Option<Vec<_>> = match &system.damping {
             Damping::Rayleigh { .. } => None,
-            Damping::Matrix(matrix) => Some(matrix),
+            Damping::Matrix(matrix) => Some(vec![matrix.clone()]),
+            Damping::Dashpots(dashpots) => Some(dashpots.iter().map(|part| part.stiffness.clone()).collect()),
         };
-        let matrices = system.substructures.iter().map(|part| &part.stiffness).chain(given_damping);
+        let mut positions: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+        let matrices = stiffness.iter().chain(damping.iter().flatten());
         for (row, column, _) in matrices.flat_map(CsrMatrix::triplet_iter) {
             positions.insert((row, column), 0);
         }
@@ -59,40 +99,18 @@ impl Assembly {
         for row in 0..system.len() {
             row_starts[row + 1] = row_starts[row + 1].max(row_starts[row]); // a row without entries
         }
-        let entries = |matrix: &CsrMatrix<f64>| -> Vec<Entry> {
-            let entry = |(row, column, value): (usize, usize, &f64)| Entry {
-                row,
-                column,
-                position: positions[&(row, column)],
-                value: *value,
-            };
-            matrix.triplet_iter().map(entry).collect()
-        };
-        let in_pattern = |entries: Vec<Entry>| {
-            let mut values = vec![0.0; columns.len()];
-            for entry in entries {
-                values[entry.position] += entry.value;
-            }
-            values
-        };
-        let scaled_by = |part: usize| {
+        let stiffness_of = |part| {
             parameters.iter().position(|p| matches!(&p.scales, Scales::Stiffness(parts) if parts.contains(&part)))
         };
-        let mut fixed = Vec::new();
-        let mut scaled: Vec<Scaled> = Vec::new();
-        for (index, part) in system.substructures.iter().enumerate() {
-            let entries = entries(&part.stiffness);
-            match scaled_by(index) {
-                None => fixed.extend(entries),
-                Some(parameter) => match scaled.iter_mut().find(|scaled| scaled.parameter == parameter) {
-                    Some(scaled) => scaled.entries.extend(entries),
-                    None => scaled.push(Scaled { parameter, entries }),
-                },
-            }
+        let damping_of = |part| {
+            parameters.iter().position(|p| matches!(&p.scales, Scales::Dashpots(parts) if parts.contains(&part)))
+        };
+        Self {
+            stiffness: sum(&positions, &stiffness, stiffness_of),
+            damping: damping.map(|parts| sum(&positions, &parts, damping_of)),
+            row_starts,
+            columns,
         }
-        let damping = given_damping.map(|matrix| in_pattern(entries(matrix)));
-        let fixed = in_pattern(fixed);
-        Self { row_starts, columns, fixed, scaled, damping }
     }
 
     /// Returns `N_d`.
@@ -105,26 +123,20 @@ impl Assembly {
         self.columns.len()
     }
 
-    /// Returns the values of a given damping matrix (N s/m).
-    pub(crate) fn damping(&self) -> Option<&[f64]> {
-        self.damping.as_deref()
+    /// Returns `K`.
+    pub(crate) fn stiffness(&self) -> &Sum {
+        &self.stiffness
+    }
+
+    /// Returns `C` of dashpots or a given matrix, if there is one.
+    pub(crate) fn damping(&self) -> Option<&Sum> {
+        self.damping.as_ref()
     }
 
     /// Returns where the values of a row are, and their columns.
     pub(crate) fn row(&self, row: usize) -> (Range<usize>, &[usize]) {
         let range = self.row_starts[row]..self.row_starts[row + 1];
         (range.clone(), &self.columns[range])
-    }
-
-    /// Writes the values of `K(θ)` (N/m).
-    pub(crate) fn assemble_to(&self, theta: &[f64], values: &mut [f64]) {
-        values.copy_from_slice(&self.fixed);
-        for scaled in &self.scaled {
-            let factor = theta[scaled.parameter];
-            for entry in &scaled.entries {
-                values[entry.position] += factor * entry.value;
-            }
-        }
     }
 
     /// Writes `X u` for a matrix by its values and a vector `u` (N_d).
@@ -146,21 +158,29 @@ impl Assembly {
             start = *end;
         }
     }
+}
 
-    /// Returns the range of rows in which the stiffness that one parameter scales has entries.
-    pub(crate) fn scaled_rows(&self, parameter: usize) -> Range<usize> {
-        let scaled = self.scaled.iter().filter(|scaled| scaled.parameter == parameter);
-        let rows = || scaled.clone().flat_map(|scaled| scaled.entries.iter().map(|entry| entry.row));
-        let first = rows().min().unwrap_or(0);
-        first..rows().max().map_or(first, |last| last + 1)
-    }
-
-    /// Adds `K_p u` of the stiffness that one parameter scales to `out` (N_d); nothing for other parameters.
-    pub(crate) fn mul_scaled_add_to(&self, parameter: usize, u: &[f64], out: &mut [f64]) {
-        for scaled in self.scaled.iter().filter(|scaled| scaled.parameter == parameter) {
-            for entry in &scaled.entries {
-                out[entry.row] += entry.value * u[entry.column];
-            }
+/// Splits parts into those that no parameter scales and those of each parameter, told by `scaled_by`.
+fn sum(
+    positions: &BTreeMap<(usize, usize), usize>,
+    parts: &[CsrMatrix<f64>],
+    scaled_by: impl Fn(usize) -> Option<usize>,
+) -> Sum {
+    let mut total = Sum { fixed: vec![0.0; positions.len()], scaled: Vec::new() };
+    for (index, part) in parts.iter().enumerate() {
+        let entries = part.triplet_iter().map(|(row, column, value)| Entry {
+            row,
+            column,
+            position: positions[&(row, column)],
+            value: *value,
+        });
+        match scaled_by(index) {
+            None => entries.for_each(|entry| total.fixed[entry.position] += entry.value),
+            Some(parameter) => match total.scaled.iter_mut().find(|scaled| scaled.parameter == parameter) {
+                Some(scaled) => scaled.entries.extend(entries),
+                None => total.scaled.push(Scaled { parameter, entries: entries.collect() }),
+            },
         }
     }
+    total
 }

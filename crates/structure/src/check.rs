@@ -3,6 +3,7 @@
 mod finding;
 mod identification;
 
+use crate::hysteresis::Constant;
 use crate::information::Information;
 use crate::modes::Modes;
 use crate::parameter::Scales;
@@ -137,7 +138,7 @@ impl Structure {
     }
 
     fn mode_reports(&self, modes: &Modes) -> Vec<ModeReport> {
-        let ratios = modes.damping_ratios(&self.system.damping);
+        let ratios = modes.damping_ratios(&self.system);
         let derivatives: Vec<DMatrix<f64>> =
             self.parameters.iter().map(|p| self.stiffness_derivative(&p.scales)).collect();
         let report = |(mode, omega): (usize, &f64)| {
@@ -158,7 +159,7 @@ impl Structure {
         modes.angular_frequencies.iter().enumerate().map(report).collect()
     }
 
-    /// Returns the part of stiffness, or of mass, that a parameter scales; zero for damping.
+    /// Returns the part of stiffness, or of mass, that a parameter scales; zero for damping and the rest of hysteresis.
     fn stiffness_derivative(&self, scales: &Scales) -> DMatrix<f64> {
         let len = self.system.len();
         match scales {
@@ -174,7 +175,10 @@ impl Structure {
                 }
                 mass
             }
-            Scales::DampingAlpha | Scales::DampingBeta => DMatrix::zeros(len, len),
+            Scales::Hysteresis(Constant::A) => self.system.nominal_stiffness(),
+            Scales::DampingAlpha | Scales::DampingBeta | Scales::Dashpots(_) | Scales::Hysteresis(_) => {
+                DMatrix::zeros(len, len)
+            }
         }
     }
 }

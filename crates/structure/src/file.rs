@@ -4,17 +4,19 @@
 //! comes out only when there is none.
 
 mod alert;
+mod chain;
 mod damping;
 mod excitation;
 mod filter;
 mod matrices;
+mod mesh;
 mod model;
 mod node;
 mod outliers;
 mod parameter;
 mod record;
 mod simulation;
-mod skeleton;
+mod tower;
 
 use crate::diagnostics::{Diagnostics, one_of};
 use crate::error::StructureError;

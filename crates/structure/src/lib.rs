@@ -29,18 +29,17 @@
 //!
 //! Logic:
 //!
-//! - [`StructureModel`]: the traits of `spandrel-filter` for a linear structure
-//! - [`BoucWenChain`], [`BoucWenModel`]: a chain of masses whose springs yield
-//! - [`Simulator`]: exact responses, damage, and faults of sensors
+//! - [`StructureModel`]: the traits of `spandrel-filter` for a structure, linear or hysteretic
+//! - [`Simulator`]: responses, damage, and faults of sensors
 //! - [`CheckReport`]: frequencies, damping, and what can be identified
 //!
 //! Not for systems that are no structures: implement the traits of `spandrel-filter` instead.
 
 mod alert_rule;
-mod bouc_wen;
 mod error;
 mod excitation;
 mod filter_plan;
+mod hysteresis;
 mod linear_system;
 mod node;
 mod noise_level;
@@ -52,10 +51,14 @@ mod structure;
 
 mod diagnostics;
 mod file;
+mod finite_elements;
+mod frame;
 mod matrix_file;
+mod mesh;
 mod section;
 mod shear_building;
-mod skeleton;
+mod tower;
+mod truss;
 
 mod assembly;
 mod check;
@@ -65,10 +68,10 @@ mod linear_form;
 mod model;
 mod modes;
 mod simulator;
+mod sparse_cholesky;
 mod steady_filter;
 
 pub use alert_rule::{AlertRule, Reference};
-pub use bouc_wen::{BoucWenChain, BoucWenModel, HysteresisDrive, SHAPE_PARAMETERS};
 pub use check::{
     CheckReport, Finding, IdentificationReport, ModeReport, NoiseLevelReport, ParameterReport, Severity, TimeStepReport,
 };

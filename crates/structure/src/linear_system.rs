@@ -1,12 +1,14 @@
-//! A linear structure: mass, damping and the stiffness matrices of its substructures.
+//! A structure: mass, damping and the stiffness matrices of its substructures, with or without hysteresis.
 //!
 //! Notation: Huang & Yuen (2023), §2.2 and §2.4. `M ẍ + C ẋ + K x = T f` (2.1) with `K = Σ θ⁽ⁿ⁾ K⁽ⁿ⁾` over the
-//! substructures and `C = α M + β K` or a given matrix. Every kind of model of the structure file that is linear
-//! becomes one of these.
+//! substructures and `C = α M + β K`, dashpots or a given matrix. Every kind of model of the structure file becomes one of
+//! these; with hysteresis, its springs carry `k r` in place of `k x`, and the matrices are those of the springs.
 
-use crate::skeleton::Direction;
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
-use nalgebra_sparse::CsrMatrix;
+use crate::hysteresis::{Drive, Hysteresis};
+use crate::sparse_cholesky::SparseCholesky;
+use nalgebra::{DMatrix, DVector};
+use nalgebra_sparse::{CooMatrix, CsrMatrix};
+use std::ops::{AddAssign, Range};
 
 /// More degrees of freedom than this are refused: eigenvalues and covariances are dense, and a filter of this size is far
 /// from real time already.
@@ -17,8 +19,8 @@ pub(crate) const LARGEST_MODEL: usize = 1000;
 pub(crate) enum Mass {
     /// A diagonal matrix, by its diagonal.
     Lumped(DVector<f64>),
-    /// Any symmetric matrix, with its factor `M = L Lᵀ`.
-    Consistent { matrix: DMatrix<f64>, factor: Cholesky<f64, Dyn> },
+    /// Any symmetric matrix, with its factor.
+    Consistent { matrix: DMatrix<f64>, factor: SparseCholesky },
 }
 
 impl Mass {
@@ -31,19 +33,17 @@ impl Mass {
 
     /// Returns `M⁻¹ X` for given columns `X`.
     pub(crate) fn solve(&self, mut columns: DMatrix<f64>) -> DMatrix<f64> {
-        match self {
-            Self::Lumped(diagonal) => {
-                for mut column in columns.column_iter_mut() {
-                    column.component_div_assign(diagonal);
-                }
+        for mut column in columns.column_iter_mut() {
+            match self {
+                Self::Lumped(diagonal) => column.component_div_assign(diagonal),
+                Self::Consistent { factor, .. } => factor.solve_mut(column.as_mut_slice()),
             }
-            Self::Consistent { factor, .. } => factor.solve_mut(&mut columns),
         }
         columns
     }
 }
 
-/// A part of the structure whose stiffness a parameter can scale.
+/// A part of the structure whose stiffness (or, of dashpots, damping) a parameter can scale.
 #[derive(Debug, Clone)]
 pub(crate) struct Substructure {
     pub(crate) name: String,
@@ -56,8 +56,40 @@ pub(crate) struct Substructure {
 pub(crate) enum Damping {
     /// `C = α M + β K`.
     Rayleigh { alpha_per_s: f64, beta_s: f64 },
+    /// `C = Σ C⁽ⁿ⁾` of dashpots that a parameter can scale, each like a substructure (N s/m).
+    Dashpots(Vec<Substructure>),
     /// A given `C` (N s/m), symmetric and positive semidefinite.
     Matrix(CsrMatrix<f64>),
+}
+
+impl Damping {
+    /// None yet: the file says it in a table of its own.
+    pub(crate) const NONE: Self = Self::Rayleigh { alpha_per_s: 0.0, beta_s: 0.0 };
+
+    /// Returns `C` (N s/m) as designed, of dashpots or a given matrix; `None` for Rayleigh damping.
+    pub(crate) fn matrix(&self, len: usize) -> Option<DMatrix<f64>> {
+        match self {
+            Self::Rayleigh { .. } => None,
+            Self::Dashpots(dashpots) => Some(sum(len, dashpots.iter().map(|part| (&part.stiffness, 1.0)))),
+            Self::Matrix(matrix) => Some(dense(matrix)),
+        }
+    }
+}
+
+/// Storeys that are scaled together: a substructure of a chain.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct StoreyGroup {
+    pub(crate) name: String,
+    /// The storeys (from 0, the lowest).
+    pub(crate) storeys: Range<usize>,
+}
+
+/// A direction in which the ground can move, in a model with geometry.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct GroundDirection {
+    pub(crate) name: &'static str,
+    /// `ι` (N_d): displacement of each degree of freedom when the ground moves by 1 in this direction.
+    pub(crate) influence: Vec<f64>,
 }
 
 /// A linear structure without its excitation and sensors; dimensions agree, checked where it is built.
@@ -67,8 +99,12 @@ pub(crate) struct LinearSystem {
     pub(crate) substructures: Vec<Substructure>,
     pub(crate) damping: Damping,
     pub(crate) degrees_of_freedom: Vec<String>,
-    /// The direction of each, where the model has any; else empty.
-    pub(crate) directions: Vec<Direction>,
+    /// Directions of ground motion; empty where the model has no geometry.
+    pub(crate) ground_directions: Vec<GroundDirection>,
+    /// The storeys of a chain in groups, from the bottom up; empty for other models.
+    pub(crate) storeys: Vec<StoreyGroup>,
+    /// The law of the springs where they are not linear.
+    pub(crate) hysteresis: Option<Hysteresis>,
 }
 
 impl LinearSystem {
@@ -77,21 +113,49 @@ impl LinearSystem {
         self.degrees_of_freedom.len()
     }
 
-    /// Returns `K` (N/m) with each substructure scaled by its entry of `factors`.
-    pub(crate) fn stiffness(&self, factors: &[f64]) -> DMatrix<f64> {
-        let mut stiffness = DMatrix::zeros(self.len(), self.len());
-        for (part, factor) in self.substructures.iter().zip(factors) {
-            for (row, column, value) in part.stiffness.triplet_iter() {
-                stiffness[(row, column)] += factor * value;
-            }
+    /// Returns the forces of one substructure on the degrees of freedom (rows) by what it is stretched by (columns, N/m).
+    ///
+    /// That is `K⁽ⁿ⁾`, by displacements, unless each hysteretic spring answers to its own drift: `K⁽ⁿ⁾ D⁻¹`, with `D` the
+    /// differences of neighbours, so that every column sums up the columns from it on.
+    pub(crate) fn forces(&self, part: usize) -> CsrMatrix<f64> {
+        let stiffness = &self.substructures[part].stiffness;
+        if self.hysteresis.is_none_or(|law| law.drive == Drive::Floor) {
+            return stiffness.clone();
         }
-        stiffness
+        let mut summed = dense(stiffness);
+        for column in (1..summed.ncols()).rev() {
+            let from_here_on = summed.column(column).into_owned();
+            summed.column_mut(column - 1).add_assign(&from_here_on);
+        }
+        CsrMatrix::from(&CooMatrix::from(&summed))
+    }
+
+    /// Returns `a`: what small motions of hysteretic springs multiply their stiffness by; 1 for linear ones.
+    pub(crate) fn initial_slope(&self) -> f64 {
+        self.hysteresis.map_or(1.0, |law| law.a)
+    }
+
+    /// Returns `K` (N/m) against small motions, with each substructure scaled by its entry of `factors`.
+    pub(crate) fn stiffness(&self, factors: &[f64]) -> DMatrix<f64> {
+        let parts = self.substructures.iter().map(|part| &part.stiffness);
+        sum(self.len(), parts.zip(factors.iter().copied())) * self.initial_slope()
     }
 
     /// Returns `K` (N/m) as designed.
     pub(crate) fn nominal_stiffness(&self) -> DMatrix<f64> {
         self.stiffness(&vec![1.0; self.substructures.len()])
     }
+}
+
+/// Returns the sum of scaled matrices over `len` degrees of freedom.
+fn sum<'m>(len: usize, parts: impl Iterator<Item = (&'m CsrMatrix<f64>, f64)>) -> DMatrix<f64> {
+    let mut total = DMatrix::zeros(len, len);
+    for (matrix, factor) in parts {
+        for (row, column, value) in matrix.triplet_iter() {
+            total[(row, column)] += factor * value;
+        }
+    }
+    total
 }
 
 /// Returns the dense form of a sparse matrix.

@@ -1,19 +1,25 @@
-//! The structure as the filter sees it: both traits of `spandrel-filter` for a linear structure.
+//! The structure as the filter sees it: both traits of `spandrel-filter`.
 //!
 //! Notation: Huang & Yuen (2023), §2.4. The state is `y = [x, ẋ, θ]`: displacements and velocities relative to the
 //! ground (m, m/s), and the parameters as ratios to nominal. `R(x, ẋ; θ) = C ẋ + K x`, with `C = α M + β K(θ)`: the part
 //! of the damping that is proportional to stiffness scales with it, `∂R/∂θ = K_θ (x + β ẋ)`. The Jacobian is applied as
 //! `A_y X = [V; −M⁻¹ K (X + β V) − α V + W Θ; 0]` to the parts `X`, `V`, `Θ` of given columns, with `W = −M⁻¹ ∂R/∂θ`
 //! (2.50). Units of accelerations are m/s².
+//!
+//! With hysteretic springs the hysteretic displacements `r` stand in the place of `x`, which no equation contains: `y = [r,
+//! ẋ, θ]`, `R = C ẋ + S r` with the spring forces `S r`, and `ṙ` by the law of Bouc and Wen of the velocities `w = D ẋ` that
+//! drive the springs, (2.87) to (2.94). `K ẋ` of the damping is `S w`. A linear structure has `ṙ = w = ẋ` and `S = K`.
 
 mod point;
 mod response;
 
 use crate::assembly::Assembly;
 use crate::excitation::Action;
-use crate::linear_system::{Damping, LinearSystem, Mass, dense};
+use crate::hysteresis::{Hysteresis, Slopes};
+use crate::linear_system::{Damping, LinearSystem, Mass};
 use crate::modes::Modes;
 use crate::parameter::{Parameter, Scales};
+use crate::sparse_cholesky::SparseCholesky;
 use crate::structure::Structure;
 use nalgebra::DMatrix;
 use point::Point;
@@ -21,7 +27,7 @@ use response::Response;
 use spandrel_filter::{ObservationModel, ProcessModel};
 use std::ops::Range;
 
-/// A linear structure with its sensors, to be linearised at one point for the process and one for the observation.
+/// A structure with its sensors, to be linearised at one point for the process and one for the observation.
 #[derive(Debug, Clone)]
 pub struct StructureModel {
     fixed: Fixed,
@@ -36,9 +42,9 @@ pub struct StructureModel {
 #[derive(Debug, Clone)]
 pub(crate) struct Fixed {
     assembly: Assembly,
-    /// `M⁻¹` (1/kg) of a mass matrix that is not diagonal: products with it vectorise, triangular solves do not.
-    mass_inverse: Option<DMatrix<f64>>,
-    /// `1/m` (1/kg) as designed; ones beside an inverse.
+    /// Factor of a mass matrix that is not diagonal.
+    mass_factor: Option<SparseCholesky>,
+    /// `1/m` (1/kg) as designed; ones beside a factor.
     reciprocal_masses: Vec<f64>,
     parameters: Vec<Parameter>,
     /// Degrees of freedom whose acceleration each parameter can change, as a range: the rest of a column of `W` is zero.
@@ -50,18 +56,22 @@ pub(crate) struct Fixed {
     forces: DMatrix<f64>,
     /// `−ι` (N_d × N_f) of the ground motions alone.
     grounds: DMatrix<f64>,
+    /// The law of the springs where they are not linear, as designed.
+    hysteresis: Option<Hysteresis>,
     bounds: RateBounds,
 }
 
 /// Largest eigenvalues as designed, from which those of scaled matrices are bounded.
 #[derive(Debug, Clone)]
 struct RateBounds {
-    /// Of `M⁻¹ K` (1/s²).
+    /// Of `M⁻¹ K` of the springs (1/s²).
     stiffness: f64,
-    /// Of `M⁻¹ C` for a given `C` (1/s).
+    /// Of `M⁻¹ C` for dashpots or a given `C` (1/s).
     damping: f64,
     /// Some substructure is scaled by no parameter.
     has_fixed_stiffness: bool,
+    /// Some dashpot, or the given `C`, is scaled by no parameter.
+    has_fixed_damping: bool,
 }
 
 impl Structure {
@@ -101,11 +111,11 @@ impl Fixed {
         let len = system.len();
         let (alpha_per_s, beta_s) = match &system.damping {
             Damping::Rayleigh { alpha_per_s, beta_s } => (*alpha_per_s, *beta_s),
-            Damping::Matrix(_) => (0.0, 0.0),
+            Damping::Dashpots(_) | Damping::Matrix(_) => (0.0, 0.0),
         };
-        let (mass_inverse, reciprocal_masses) = match &system.mass {
+        let (mass_factor, reciprocal_masses) = match &system.mass {
             Mass::Lumped(masses) => (None, masses.iter().map(|mass| 1.0 / mass).collect()),
-            Mass::Consistent { factor, .. } => (Some(factor.inverse()), vec![1.0; len]),
+            Mass::Consistent { factor, .. } => (Some(factor.clone()), vec![1.0; len]),
         };
         let inputs = structure.excitations.len();
         let mut forces = DMatrix::zeros(len, inputs);
@@ -122,24 +132,29 @@ impl Fixed {
         }
         let assembly = Assembly::new(system, &structure.parameters);
         let reach = |(index, parameter): (usize, &Parameter)| match &parameter.scales {
-            Scales::Stiffness(_) if mass_inverse.is_none() => assembly.scaled_rows(index),
+            Scales::Stiffness(_) if mass_factor.is_none() => assembly.stiffness().scaled_rows(index),
+            Scales::Dashpots(_) if mass_factor.is_none() => {
+                assembly.damping().map_or(0..0, |damping| damping.scaled_rows(index))
+            }
+            Scales::Hysteresis(_) => 0..0, // moves the rate of r only
             Scales::Mass(dofs) => {
                 let first = dofs.iter().min().map_or(0, |first| *first);
                 first..dofs.iter().max().map_or(first, |last| last + 1)
             }
             // through a mass matrix that is not diagonal everything accelerates everything
-            Scales::Stiffness(_) | Scales::DampingAlpha | Scales::DampingBeta => 0..len,
+            Scales::Stiffness(_) | Scales::Dashpots(_) | Scales::DampingAlpha | Scales::DampingBeta => 0..len,
         };
         Self {
             reach: structure.parameters.iter().enumerate().map(reach).collect(),
             assembly,
-            mass_inverse,
+            mass_factor,
             reciprocal_masses,
             parameters: structure.parameters.clone(),
             alpha_per_s,
             beta_s,
             forces: system.mass.solve(forces),
             grounds,
+            hysteresis: system.hysteresis,
             bounds: RateBounds::new(system, &structure.parameters),
         }
     }
@@ -149,16 +164,18 @@ impl RateBounds {
     fn new(system: &LinearSystem, parameters: &[Parameter]) -> Self {
         // ω² of a pencil whose mass is positive definite, checked when the file was read
         let largest = |matrix| Modes::new(system.mass.to_dense(), matrix).map_or(0.0, |modes| modes.highest().powi(2));
-        let damping = match &system.damping {
-            Damping::Rayleigh { .. } => 0.0,
-            Damping::Matrix(matrix) => largest(dense(matrix)),
-        };
         let scaled =
             |part| parameters.iter().any(|p| matches!(&p.scales, Scales::Stiffness(parts) if parts.contains(&part)));
+        let damped =
+            |part| parameters.iter().any(|p| matches!(&p.scales, Scales::Dashpots(parts) if parts.contains(&part)));
         Self {
-            stiffness: largest(system.nominal_stiffness()),
-            damping,
+            stiffness: largest(system.nominal_stiffness() / system.initial_slope()),
+            damping: system.damping.matrix(system.len()).map_or(0.0, largest),
             has_fixed_stiffness: (0..system.substructures.len()).any(|part| !scaled(part)),
+            has_fixed_damping: match &system.damping {
+                Damping::Dashpots(dashpots) => (0..dashpots.len()).any(|part| !damped(part)),
+                Damping::Rayleigh { .. } | Damping::Matrix(_) => true,
+            },
         }
     }
 }
@@ -184,7 +201,7 @@ impl ProcessModel for StructureModel {
         let free = self.fixed.assembly.len();
         let (out_x, rest) = out.split_at_mut(free);
         let (out_v, out_theta) = rest.split_at_mut(free);
-        out_x.copy_from_slice(&self.process.velocity);
+        out_x.copy_from_slice(&self.process.rate);
         out_v.copy_from_slice(&self.process.acceleration); // ẍ = −M⁻¹ R + M⁻¹ T f               (2.45)
         out_theta.fill(0.0);
     }
@@ -204,23 +221,53 @@ impl ProcessModel for StructureModel {
         }
     }
 
-    /// Every eigenvalue `s` of the pencil `s² + c s + k`, with `c ≤ c_max` and `k ≤ ω_max²` Rayleigh quotients of
-    /// `M⁻¹ C` and `M⁻¹ K`, has `|s| ≤ max(√k, c)`.
+    /// Every eigenvalue `s` of a linear structure solves `s² + c s + k = 0`, with `c` and `k` Rayleigh quotients of `M⁻¹ C`
+    /// and `M⁻¹ K`.
+    ///
+    /// With Rayleigh damping `c = α + β k`: `|s|` is `√k` unless the mode is overdamped, and no more than `α` or than that
+    /// of the highest mode. With a given damping matrix `|s| ≤ max(√k, c)`, each at its largest. For hysteretic springs,
+    /// `|s| ≤ max(|∂ṙ/∂r|, c) + √(|∂ṙ/∂w| k)`: the norm of a matrix of blocks, in which velocities are weighted by the root
+    /// of the mass and drifts by that of the stiffness.
     fn rate_bound(&self) -> f64 {
-        let RateBounds { stiffness, damping, has_fixed_stiffness } = &self.fixed.bounds;
-        let floor = if *has_fixed_stiffness { 1.0 } else { 0.0 };
-        let mut largest_stiffness = floor;
+        let (k, given) = self.largest_quotients();
+        let (alpha, beta) = (self.process.alpha_per_s.abs(), self.process.beta_s.abs());
+        let c = alpha + beta * k + given;
+        if self.fixed.hysteresis.is_some() {
+            let largest = |slope: fn(&Slopes) -> f64| self.process.slopes.iter().map(slope).fold(0.0, f64::max);
+            let by_displacement = largest(|slopes| slopes.by_displacement.abs());
+            let by_velocity = largest(|slopes| slopes.by_velocity.abs());
+            return by_displacement.max(c) + (by_velocity * k).sqrt();
+        }
+        if given > 0.0 {
+            return k.sqrt().max(c);
+        }
+        let discriminant = c * c - 4.0 * k;
+        if discriminant > 0.0 { alpha.max((c + discriminant.sqrt()) / 2.0) } else { alpha.max(k.sqrt()) }
+    }
+}
+
+impl StructureModel {
+    /// Tells whether the springs are hysteretic, so that the state holds their hysteretic displacements.
+    pub(crate) fn is_hysteretic(&self) -> bool {
+        self.fixed.hysteresis.is_some()
+    }
+
+    /// Returns bounds of the Rayleigh quotients of `M⁻¹ K` of the springs (1/s²) and of `M⁻¹ C` but for `α` and `β` (1/s).
+    fn largest_quotients(&self) -> (f64, f64) {
+        let RateBounds { stiffness, damping, has_fixed_stiffness, has_fixed_damping } = &self.fixed.bounds;
+        let floor = |is_there: bool| if is_there { 1.0 } else { 0.0 };
+        let mut largest_stiffness: f64 = floor(*has_fixed_stiffness);
+        let mut largest_damping: f64 = floor(*has_fixed_damping);
         let mut smallest_mass = 1.0_f64;
         for (parameter, theta) in self.fixed.parameters.iter().zip(&self.process.theta) {
             match parameter.scales {
                 Scales::Stiffness(_) => largest_stiffness = theta.abs().max(largest_stiffness),
+                Scales::Dashpots(_) => largest_damping = theta.abs().max(largest_damping),
                 Scales::Mass(_) => smallest_mass = smallest_mass.min(theta.abs()),
-                Scales::DampingAlpha | Scales::DampingBeta => {}
+                Scales::DampingAlpha | Scales::DampingBeta | Scales::Hysteresis(_) => {}
             }
         }
-        let k = stiffness * largest_stiffness / smallest_mass;
-        let c = self.process.alpha_per_s.abs() + self.process.beta_s.abs() * k + damping / smallest_mass;
-        k.sqrt().max(c)
+        (stiffness * largest_stiffness / smallest_mass, damping * largest_damping / smallest_mass)
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! `K φ = ω² M φ` with `φᵀ M φ = 1`, solved as the symmetric problem `L⁻¹ K L⁻ᵀ q = ω² q`, `M = L Lᵀ`, `φ = L⁻ᵀ q`.
 
-use crate::linear_system::{Damping, LinearSystem, dense};
+use crate::linear_system::{Damping, LinearSystem};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// The undamped modes of a structure, lowest frequency first.
@@ -53,16 +53,15 @@ impl Modes {
     /// Returns the damping ratio `φᵀ C φ / 2ω` of each mode.
     ///
     /// Exact for Rayleigh damping. For a damping matrix that couples the modes it is the usual first approximation.
-    pub(crate) fn damping_ratios(&self, damping: &Damping) -> Vec<f64> {
-        let matrix = match damping {
-            Damping::Rayleigh { .. } => None,
-            Damping::Matrix(matrix) => Some(dense(matrix)),
-        };
+    pub(crate) fn damping_ratios(&self, system: &LinearSystem) -> Vec<f64> {
+        let matrix = system.damping.matrix(system.len());
         let ratio = |(mode, omega): (usize, &f64)| {
-            let modal = match (damping, &matrix) {
-                (Damping::Rayleigh { alpha_per_s, beta_s }, _) => alpha_per_s + beta_s * omega * omega,
-                (Damping::Matrix(_), Some(matrix)) => self.quadratic(mode, matrix),
-                (Damping::Matrix(_), None) => 0.0,
+            let modal = match (&system.damping, &matrix) {
+                (Damping::Rayleigh { alpha_per_s, beta_s }, _) => {
+                    alpha_per_s + beta_s * omega * omega / system.initial_slope() // β K is that of the springs
+                }
+                (_, Some(matrix)) => self.quadratic(mode, matrix),
+                (_, None) => 0.0,
             };
             modal / (2.0 * omega)
         };

@@ -1,5 +1,7 @@
 //! The uncertain parameters of a structure: what each scales, and what is believed of it beforehand.
 
+use crate::hysteresis::Constant;
+
 /// What a parameter multiplies.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Scales {
@@ -7,6 +9,10 @@ pub(crate) enum Scales {
     Stiffness(Vec<usize>),
     /// The mass of these degrees of freedom (indices from 0); lumped mass only.
     Mass(Vec<usize>),
+    /// The dashpots of these indices (from 0).
+    Dashpots(Vec<usize>),
+    /// A constant of the law of hysteretic springs, of all of them.
+    Hysteresis(Constant),
     /// `α` of Rayleigh damping.
     DampingAlpha,
     /// `β` of Rayleigh damping.

@@ -25,7 +25,7 @@ impl Allowed {
     /// Rates of frames (Hz): what the bus carries, and no faster than structures can move.
     pub(crate) const RATE: Self = Self { low: Bound::Included(1e-3), high: Bound::Included(20_000.0) };
     /// Standard deviations whose squares, sums and ratios are all numbers.
-    pub(crate) const DEVIATION: Self = Self { low: Bound::Included(1e-12), high: Bound::Included(1e12) };
+    pub(crate) const DEVIATION: Self = Self { low: Bound::Included(1e-30), high: Bound::Included(1e30) };
     /// Standard deviations of ratios.
     pub(crate) const RATIO_DEVIATION: Self = Self { low: Bound::Included(1e-9), high: Bound::Included(1e6) };
     /// From 0, below 1.
@@ -36,16 +36,22 @@ impl Allowed {
     }
 }
 
+/// Writes a bound with an exponent where zeros would have to be counted.
+fn short(bound: f64) -> String {
+    let plain = bound == 0.0 || (1e-3..1e6).contains(&bound.abs());
+    if plain { bound.to_string() } else { format!("{bound:e}") }
+}
+
 impl fmt::Display for Allowed {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let low = match self.low {
-            Bound::Included(low) => Some(format!("from {low}")),
-            Bound::Excluded(low) => Some(format!("above {low}")),
+            Bound::Included(low) => Some(format!("from {}", short(low))),
+            Bound::Excluded(low) => Some(format!("above {}", short(low))),
             Bound::Unbounded => None,
         };
         let high = match self.high {
-            Bound::Included(high) => Some(format!("up to {high}")),
-            Bound::Excluded(high) => Some(format!("below {high}")),
+            Bound::Included(high) => Some(format!("up to {}", short(high))),
+            Bound::Excluded(high) => Some(format!("below {}", short(high))),
             Bound::Unbounded => None,
         };
         f.write_str("must be a finite number")?;
@@ -57,7 +63,7 @@ impl fmt::Display for Allowed {
     }
 }
 
-/// A degree of freedom as a file names it: by number from 1, or by name.
+/// A degree of freedom or a node as a file names it: by number from 1, or by name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum NumberOrName {
     Number(i64),
@@ -154,6 +160,21 @@ impl<'t> Section<'t> {
     /// Reads a list of numbers.
     pub(crate) fn numbers(&mut self, key: &'static str, allowed: Allowed) -> Option<Spanned<Vec<f64>>> {
         let value = self.value(key)?;
+        self.check_numbers(key, value, allowed)
+    }
+
+    /// Reads a list of numbers under a name chosen by the user, an entry of [`Section::entries`].
+    pub(crate) fn entry_numbers(
+        &self,
+        key: &str,
+        name: &Spanned<String>,
+        value: &Spanned<DeValue<'t>>,
+        allowed: Allowed,
+    ) -> Option<Spanned<Vec<f64>>> {
+        self.check_numbers(&format!("{key}.{}", name.get_ref()), value, allowed)
+    }
+
+    fn check_numbers(&self, key: &str, value: &Spanned<DeValue<'t>>, allowed: Allowed) -> Option<Spanned<Vec<f64>>> {
         let Some(entries) = value.get_ref().as_array() else {
             self.refuse(key, value, "must be a list of numbers");
             return None;
@@ -270,19 +291,6 @@ impl<'t> Section<'t> {
         Some(Spanned::new(value.span(), names))
     }
 
-    /// Reads a list of texts.
-    pub(crate) fn texts(&mut self, key: &'static str) -> Option<Vec<Spanned<String>>> {
-        let value = self.value(key)?;
-        let text = |entry: &Spanned<DeValue<'t>>| {
-            entry.get_ref().as_str().map(|text| Spanned::new(entry.span(), text.to_owned()))
-        };
-        let texts = value.get_ref().as_array().and_then(|entries| entries.iter().map(text).collect());
-        if texts.is_none() {
-            self.refuse(key, value, "must be a list of texts in quotes");
-        }
-        texts
-    }
-
     /// Reads one of a closed set of words.
     pub(crate) fn choice<T: Copy>(&mut self, key: &'static str, choices: &[(&str, T)]) -> Option<Spanned<T>> {
         let value = self.value(key)?;
@@ -302,26 +310,52 @@ impl<'t> Section<'t> {
     /// Reads a number from 1 or a name.
     pub(crate) fn number_or_name(&mut self, key: &'static str) -> Option<Spanned<NumberOrName>> {
         let value = self.value(key)?;
-        self.check_number_or_name(key, value)
+        self.check_number_or_name(key, value, "degree of freedom")
     }
 
     /// Reads a list of numbers from 1 or names; `None` as soon as one is neither.
     pub(crate) fn numbers_or_names(&mut self, key: &'static str) -> Option<Spanned<Vec<Spanned<NumberOrName>>>> {
         let value = self.value(key)?;
+        self.check_numbers_or_names(key, value, "degree of freedom")
+    }
+
+    /// Reads a list of nodes by number or name; `None` as soon as one is neither.
+    pub(crate) fn nodes(&mut self, key: &'static str) -> Option<Spanned<Vec<Spanned<NumberOrName>>>> {
+        let value = self.value(key)?;
+        self.check_numbers_or_names(key, value, "node")
+    }
+
+    /// Reads a list of lists of nodes; `None` as soon as one is none.
+    pub(crate) fn paths(&mut self, key: &'static str) -> Option<Vec<Spanned<Vec<Spanned<NumberOrName>>>>> {
+        let value = self.value(key)?;
         let Some(entries) = value.get_ref().as_array() else {
-            self.refuse(key, value, "must be a list of numbers or names of degrees of freedom");
+            self.refuse(key, value, "must be a list of lists of nodes");
             return None;
         };
-        let all: Vec<_> = entries.iter().map(|entry| self.check_number_or_name(key, entry)).collect();
+        let all: Vec<_> = entries.iter().map(|entry| self.check_numbers_or_names(key, entry, "node")).collect();
+        all.into_iter().collect()
+    }
+
+    fn check_numbers_or_names(
+        &self,
+        key: &str,
+        value: &Spanned<DeValue<'t>>,
+        of: &str,
+    ) -> Option<Spanned<Vec<Spanned<NumberOrName>>>> {
+        let Some(entries) = value.get_ref().as_array() else {
+            self.refuse(key, value, format!("must be a list, each the number or the name of a {of}"));
+            return None;
+        };
+        let all: Vec<_> = entries.iter().map(|entry| self.check_number_or_name(key, entry, of)).collect();
         let all: Option<Vec<_>> = all.into_iter().collect();
         all.map(|all| Spanned::new(value.span(), all))
     }
 
-    fn check_number_or_name(&self, key: &str, value: &Spanned<DeValue<'t>>) -> Option<Spanned<NumberOrName>> {
+    fn check_number_or_name(&self, key: &str, value: &Spanned<DeValue<'t>>, of: &str) -> Option<Spanned<NumberOrName>> {
         let name = value.get_ref().as_str().map(|name| NumberOrName::Name(name.to_owned()));
         let read = name.or_else(|| whole_number(value.get_ref()).map(NumberOrName::Number));
         if read.is_none() {
-            self.refuse(key, value, "must be the number or the name of a degree of freedom");
+            self.refuse(key, value, format!("must be the number or the name of a {of}"));
         }
         read.map(|read| Spanned::new(value.span(), read))
     }

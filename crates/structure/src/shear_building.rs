@@ -3,7 +3,7 @@
 //! Degree of freedom `n` is the horizontal displacement of floor `n` relative to the ground; storey `n` joins floor
 //! `n − 1` (the ground for `n = 1`) to floor `n`. Huang & Yuen (2023), §2.3.3: `K` is tridiagonal.
 
-use crate::linear_system::{Mass, Substructure};
+use crate::linear_system::{Mass, StoreyGroup, Substructure};
 use nalgebra::DVector;
 use nalgebra_sparse::{CooMatrix, CsrMatrix};
 
@@ -29,24 +29,41 @@ impl ShearBuilding {
         Mass::Lumped(DVector::from_column_slice(&self.masses_kg))
     }
 
-    /// Returns one substructure per storey, `storey-1` at the bottom.
-    pub(crate) fn substructures(&self) -> Vec<Substructure> {
-        let len = self.masses_kg.len();
-        let storey = |(above, k): (usize, &f64)| {
-            let mut stiffness = CooMatrix::new(len, len);
-            stiffness.push(above, above, *k);
-            if let Some(below) = above.checked_sub(1) {
-                stiffness.push(below, below, *k);
-                stiffness.push(below, above, -k);
-                stiffness.push(above, below, -k);
-            }
-            Substructure { name: format!("storey-{}", above + 1), stiffness: CsrMatrix::from(&stiffness) }
-        };
-        self.stiffnesses_n_per_m.iter().enumerate().map(storey).collect()
+    /// Returns a substructure per group of storeys.
+    pub(crate) fn substructures(&self, groups: &[StoreyGroup]) -> Vec<Substructure> {
+        chain(groups, &self.stiffnesses_n_per_m)
     }
 
     /// Returns `floor-1`, `floor-2`, ... from the bottom up.
     pub(crate) fn degrees_of_freedom(&self) -> Vec<String> {
         (1..=self.masses_kg.len()).map(|floor| format!("floor-{floor}")).collect()
     }
+}
+
+/// Returns the matrix of each group of storeys with the given constants: stiffnesses (N/m), or dashpots (N s/m).
+pub(crate) fn chain(groups: &[StoreyGroup], constants: &[f64]) -> Vec<Substructure> {
+    let len = constants.len();
+    let group = |group: &StoreyGroup| {
+        let mut matrix = CooMatrix::new(len, len);
+        for (above, k) in group.storeys.clone().zip(&constants[group.storeys.clone()]) {
+            matrix.push(above, above, *k);
+            if let Some(below) = above.checked_sub(1) {
+                matrix.push(below, below, *k);
+                matrix.push(below, above, -k);
+                matrix.push(above, below, -k);
+            }
+        }
+        Substructure { name: group.name.clone(), stiffness: CsrMatrix::from(&matrix) }
+    };
+    groups.iter().map(group).collect()
+}
+
+/// Puts each storey that is in none of `groups` into one of its own, `storey-1` for the lowest, and sorts them upwards.
+pub(crate) fn with_single_storeys(mut groups: Vec<StoreyGroup>, storeys: usize) -> Vec<StoreyGroup> {
+    let alone = |storey: &usize| !groups.iter().any(|group| group.storeys.contains(storey));
+    let single = |storey| StoreyGroup { name: format!("storey-{}", storey + 1), storeys: storey..storey + 1 };
+    let singles: Vec<StoreyGroup> = (0..storeys).filter(alone).map(single).collect();
+    groups.extend(singles);
+    groups.sort_by_key(|group| group.storeys.start);
+    groups
 }

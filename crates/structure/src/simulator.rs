@@ -1,18 +1,19 @@
 //! Simulates the response of a structure with its damage, its excitation and the faults of its sensors.
 //!
-//! The recursion is exact for an excitation held (or running straight) over a step; it is made anew when a parameter
-//! changes. The parameters between two frames are those of the older one. Everything follows from the seed.
+//! For a linear structure the recursion is exact for an excitation held (or running straight) over a step; it is made anew
+//! when a parameter changes. Hysteretic springs are followed in substeps. The parameters between two frames are those of the
+//! older one. Everything follows from the seed.
 
-use crate::linear_form::{LinearForm, Recursion};
-use crate::model::StructureModel;
+mod motion;
+
 use crate::simulation_plan::{SimulationPlan, SpikeKind, Spikes};
 use crate::structure::Structure;
-use nalgebra::{DMatrix, DVector};
+use motion::{Amplitude, Motion};
+use nalgebra::DVector;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::StandardNormal;
-use spandrel_filter::InputHold;
 
 /// One simulated instant.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,23 +45,17 @@ struct SimulatedChannel {
 /// Simulates a structure from rest, frame by frame, without end.
 #[derive(Debug, Clone)]
 pub struct Simulator {
-    model: StructureModel,
+    motion: Motion,
     plan: SimulationPlan,
     undamaged: Vec<f64>,
     step_s: f64,
-    hold: InputHold,
     excitation_std: Vec<f64>,
     channels: Vec<SimulatedChannel>,
     theta: Vec<f64>,
-    recursion: Recursion,
-    observation: DMatrix<f64>,
-    direct: DMatrix<f64>,
-    /// `u` (2 N_d), `f` and the next `f` (N_f), `z` (N_0)
-    state: DVector<f64>,
+    /// `f` and the next `f` (N_f), `z` (N_0)
     excitation: DVector<f64>,
     next_excitation: DVector<f64>,
     response: DVector<f64>,
-    next_state: DVector<f64>,
     index: u64,
     excitation_random: ChaCha8Rng,
     noise_random: ChaCha8Rng,
@@ -71,7 +66,7 @@ impl Structure {
     /// Makes a simulation of the structure that depends on nothing but the file and `seed`.
     #[must_use]
     pub fn simulator(&self, seed: u64) -> Simulator {
-        Simulator::new(self, self.simulation.clone(), vec![1.0; self.parameters.len()], seed)
+        Simulator::new(self, self.simulation.clone(), vec![1.0; self.parameters.len()], Amplitude::Any, seed)
     }
 
     /// Makes a simulation of the same motion whose samples are all there and free of noise.
@@ -79,17 +74,19 @@ impl Structure {
     pub fn clean_simulator(&self, seed: u64) -> Simulator {
         let mut plan = self.simulation.clone();
         (plan.dropped_share, plan.spikes.share) = (0.0, 0.0);
-        let mut simulator = Simulator::new(self, plan, vec![1.0; self.parameters.len()], seed);
+        let mut simulator = Simulator::new(self, plan, vec![1.0; self.parameters.len()], Amplitude::Any, seed);
         for channel in &mut simulator.channels {
             (channel.noise_std, channel.every) = (0.0, 1);
         }
         simulator
     }
 
-    /// Makes a simulation of the structure at its prior means, with nothing but white noise happening to it.
+    /// Makes a simulation of the structure at its prior means, with nothing but white noise happening to it; hysteretic
+    /// springs are linear in it, as for small motions.
     pub(crate) fn undamaged_simulator(&self, seed: u64) -> Simulator {
         let plan = SimulationPlan::uneventful(self.nodes.len());
-        Simulator::new(self, plan, self.parameters.iter().map(crate::Parameter::mean).collect(), seed)
+        let means = self.parameters.iter().map(crate::Parameter::mean).collect();
+        Simulator::new(self, plan, means, Amplitude::Small, seed)
     }
 
     /// Returns the true parameters (ratios to nominal) of the simulation at a frame.
@@ -108,11 +105,10 @@ fn true_parameters(plan: &SimulationPlan, undamaged: &[f64], time_s: f64) -> Vec
 }
 
 impl Simulator {
-    fn new(structure: &Structure, plan: SimulationPlan, undamaged: Vec<f64>, seed: u64) -> Self {
-        let mut model = structure.model();
+    fn new(structure: &Structure, plan: SimulationPlan, undamaged: Vec<f64>, amplitude: Amplitude, seed: u64) -> Self {
         let theta = true_parameters(&plan, &undamaged, 0.0);
-        let form = LinearForm::new(&mut model, &theta);
-        let (step_s, hold) = (structure.step_s(), structure.plan.input_hold);
+        let step_s = structure.step_s();
+        let motion = Motion::new(structure.model(), &theta, step_s, structure.plan.input_hold, amplitude);
         let inputs = structure.excitations.len();
         // streams of their own, so that a dropped sample changes neither the motion nor the noise
         let random = |stream| {
@@ -121,17 +117,11 @@ impl Simulator {
             random
         };
         let mut simulator = Self {
-            recursion: form.recursion(step_s, hold),
-            state: DVector::zeros(form.system.nrows()),
-            next_state: DVector::zeros(form.system.nrows()),
-            response: DVector::zeros(form.observation.nrows()),
-            observation: form.observation,
-            direct: form.direct,
-            model,
+            motion,
+            response: DVector::zeros(structure.observation_channels.len()),
             plan,
             undamaged,
             step_s,
-            hold,
             excitation_std: structure.excitations.iter().map(crate::Excitation::std).collect(),
             channels: simulated_channels(structure),
             theta,
@@ -147,9 +137,11 @@ impl Simulator {
     }
 
     /// Returns the true state (displacements and velocities relative to the ground, m and m/s) at the coming frame.
+    ///
+    /// Hysteretic springs have their hysteretic displacements in the place of the displacements.
     #[must_use]
     pub fn state(&self) -> &[f64] {
-        self.state.as_slice()
+        self.motion.state()
     }
 
     /// Draws the excitation of frame `index` into the place of the next one.
@@ -162,13 +154,12 @@ impl Simulator {
         }
     }
 
-    /// Makes the recursion anew if the damage has changed a parameter.
+    /// Changes the parameters if the damage has.
     fn follow_damage(&mut self) {
         let theta = true_parameters(&self.plan, &self.undamaged, self.index as f64 * self.step_s);
         if theta != self.theta {
-            let form = LinearForm::new(&mut self.model, &theta);
-            self.recursion = form.recursion(self.step_s, self.hold);
-            (self.observation, self.direct, self.theta) = (form.observation, form.direct, theta);
+            self.motion.set_parameters(&theta);
+            self.theta = theta;
         }
     }
 
@@ -195,27 +186,14 @@ impl Simulator {
         values
     }
 
-    /// Moves the state by one step, (2.7).
-    fn advance(&mut self) {
-        let Recursion { transition, input, slope } = &self.recursion;
-        self.next_state.gemv(1.0, transition, &self.state, 0.0); // A u
-        self.next_state.gemv(1.0, input, &self.excitation, 1.0); // + B f_i
-        if self.hold == InputHold::First {
-            self.next_state.gemv(1.0, slope, &self.next_excitation, 1.0); // + B₁ (f_{i+1} − f_i)
-            self.next_state.gemv(-1.0, slope, &self.excitation, 1.0);
-        }
-        std::mem::swap(&mut self.state, &mut self.next_state);
-    }
-
     /// Makes the next frame.
     pub(crate) fn advance_frame(&mut self) -> SimulatedFrame {
         self.follow_damage();
         std::mem::swap(&mut self.excitation, &mut self.next_excitation);
         self.draw_excitation(self.index + 1);
-        self.response.gemv(1.0, &self.observation, &self.state, 0.0); // z = H u + D f
-        self.response.gemv(1.0, &self.direct, &self.excitation, 1.0);
+        self.motion.respond(&self.excitation, &mut self.response);
         let values = self.sample();
-        self.advance();
+        self.motion.advance(&self.excitation, &self.next_excitation);
         let index = self.index;
         self.index += 1;
         SimulatedFrame { index, values }

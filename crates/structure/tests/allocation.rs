@@ -9,7 +9,7 @@ use std::path::Path;
 
 #[test]
 fn a_model_allocates_nothing_after_construction() {
-    for name in ["demo", "noisy", "matrices"] {
+    for name in ["demo", "noisy", "matrices", "three-pier-bridge", "dome", "bouc-wen-ten", "dashpot-building"] {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name).with_extension("toml");
         let structure = Structure::read(&path).unwrap_or_else(|error| panic!("{error}"));
         let mut model = structure.model();

@@ -1,5 +1,6 @@
 //! Systems of the examples that no structure file describes.
 
+pub(crate) mod bouc_wen;
 pub(crate) mod chain;
 pub(crate) mod hysteretic;
 pub(crate) mod linear;

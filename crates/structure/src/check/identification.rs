@@ -92,7 +92,7 @@ impl Structure {
     /// Returns the diagonal of `G⁻¹` (frames) over the `unknown` quantities: an error of theirs falls as `exp(−k G)`.
     ///
     /// `G = J⁻¹ F` divided by the memory of each (frames): the filter moves by what pulls it over what it counts. Its prior
-    /// counts too, because the variance is bounded. Infinite where nothing pulls.
+    /// counts too, because the variance is bounded. Infinite where nothing pulls; what nothing pulls does not move the others.
     fn settling(
         &self,
         information: &Information,
@@ -100,16 +100,23 @@ impl Structure {
         memory_frames: f64,
         noise_memory_frames: f64,
     ) -> Option<Vec<f64>> {
-        let of = |x: &DMatrix<f64>| DMatrix::from_fn(unknown.len(), unknown.len(), |i, j| x[(unknown[i], unknown[j])]);
+        let pulled: Vec<usize> = unknown.iter().copied().filter(|i| information.pull[(*i, *i)] != 0.0).collect();
+        let of = |x: &DMatrix<f64>| DMatrix::from_fn(pulled.len(), pulled.len(), |i, j| x[(pulled[i], pulled[j])]);
         let mut counted = of(&information.counted);
-        for (entry, parameter) in self.parameters.iter().enumerate() {
-            counted[(entry, entry)] += 1.0 / (parameter.std().powi(2) * memory_frames);
+        for (entry, index) in pulled.iter().enumerate() {
+            if let Some(parameter) = self.parameters.get(*index) {
+                counted[(entry, entry)] += 1.0 / (parameter.std().powi(2) * memory_frames);
+            }
         }
         let mut rates = counted.cholesky()?.solve(&of(&information.pull));
-        for (entry, mut row) in rates.row_iter_mut().enumerate() {
-            row /= if entry < self.parameters.len() { memory_frames } else { noise_memory_frames };
+        for (index, mut row) in pulled.iter().zip(rates.row_iter_mut()) {
+            row /= if *index < self.parameters.len() { memory_frames } else { noise_memory_frames };
         }
-        let times = rates.lu().solve(&DMatrix::identity(unknown.len(), unknown.len()));
-        Some(times.map_or(vec![f64::INFINITY; unknown.len()], |times| times.diagonal().as_slice().to_vec()))
+        let times = rates.lu().solve(&DMatrix::identity(pulled.len(), pulled.len()));
+        let time = |index: &usize| {
+            let entry = pulled.iter().position(|pulled| pulled == index)?;
+            Some(times.as_ref()?[(entry, entry)])
+        };
+        Some(unknown.iter().map(|index| time(index).unwrap_or(f64::INFINITY)).collect())
     }
 }

@@ -184,3 +184,29 @@ fn dynamic_sensitivity_is_the_information_of_one_frame() {
         assert!(alone > 0.3 * parameter.std_after, "{}: {alone}, {}", parameter.name, parameter.std_after);
     }
 }
+
+/// Small motions inform the stiffness of hysteretic springs and nothing of how they yield.
+#[test]
+fn hysteresis_is_checked_by_its_small_motions() {
+    let structure = parse(include_str!("../../../../docs/examples/bouc-wen-five.toml"));
+    let report = structure.check(20.0, 1);
+    let parameters = report.identification.unwrap().parameters;
+    let [storeys, damping, law] = [&parameters[..5], &parameters[5..7], &parameters[7..]];
+    assert!(storeys.iter().all(|p| p.std_after < 0.02 && p.settling_s > 0.0 && p.settling_s < 30.0), "{storeys:?}");
+    assert!(damping.iter().all(|p| p.std_after < p.prior_std), "{damping:?}");
+    assert!(law.iter().all(|p| p.std_after == p.prior_std && p.settling_s.is_infinite()), "{law:?}");
+    let uninformed: Vec<&str> = report
+        .findings
+        .iter()
+        .filter_map(|finding| match finding {
+            Finding::Uninformed { parameter, .. } => Some(parameter.as_str()),
+            _ => None,
+        })
+        .collect();
+    for name in ["mu", "kappa", "eta"] {
+        assert!(uninformed.contains(&name), "{uninformed:?}");
+    }
+    // all stiffnesses together: ∂ln f/∂θ adds up to one half
+    let sum: f64 = report.modes[0].sensitivity[..5].iter().sum();
+    assert!((sum - 0.5).abs() < 1e-12, "{sum}");
+}

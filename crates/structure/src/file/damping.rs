@@ -5,21 +5,25 @@ use crate::linear_system::{Damping, LARGEST_MODEL, LinearSystem, dense};
 use crate::matrix_file::{self, Unusable};
 use crate::modes::Modes;
 use crate::section::{Allowed, Section};
+use crate::shear_building::chain;
 use toml::Spanned;
 
 #[derive(Clone, Copy)]
 enum DampingKind {
     Rayleigh,
+    Dashpots,
     Matrix,
 }
 
-const DAMPING_KINDS: [(&str, DampingKind); 2] = [("rayleigh", DampingKind::Rayleigh), ("matrix", DampingKind::Matrix)];
+const DAMPING_KINDS: [(&str, DampingKind); 3] =
+    [("rayleigh", DampingKind::Rayleigh), ("dashpots", DampingKind::Dashpots), ("matrix", DampingKind::Matrix)];
 
 /// Reads `[damping]`; a ratio is turned into `α` and `β` with the modes of `system` as designed.
 pub(super) fn read_damping(mut section: Section<'_>, system: Option<&LinearSystem>) -> Option<Damping> {
     let kind = section.required_choice("kind", &DAMPING_KINDS)?;
     let damping = match kind.into_inner() {
         DampingKind::Rayleigh => read_rayleigh(&mut section, system),
+        DampingKind::Dashpots => read_dashpots(&mut section, system),
         DampingKind::Matrix => read_damping_matrix(&mut section, system),
     };
     section.finish();
@@ -72,7 +76,27 @@ fn rayleigh_of_ratio(system: &LinearSystem, ratio: f64, modes: [usize; 2]) -> Op
     let [first, second] = modes.map(|mode| solved.angular_frequencies.get(mode - 1).copied());
     let (first, second) = (first?, second?);
     let beta_s = 2.0 * ratio / (first + second);
-    Some(Damping::Rayleigh { alpha_per_s: beta_s * first * second, beta_s })
+    // β K is that of the springs, ω² that of small motions
+    Some(Damping::Rayleigh { alpha_per_s: beta_s * first * second, beta_s: beta_s * system.initial_slope() })
+}
+
+/// Reads a dashpot beside each storey of a chain, those of a group together.
+fn read_dashpots(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Damping> {
+    let key = "coefficients-n-s-per-m";
+    let Some(system) = system else {
+        section.leave_unread(&[key]);
+        return None;
+    };
+    if system.storeys.is_empty() {
+        let allowed = "must be \"rayleigh\" or \"matrix\" for a model without storeys";
+        section.diagnostics().report(section.span(), section.key("kind"), "is \"dashpots\"", allowed);
+        section.leave_unread(&[key]);
+        return None;
+    }
+    let coefficients = section.number_for_each(key, Allowed::POSITIVE, system.len());
+    let allowed = "must be the coefficient of the dashpot in every storey, or a list from the bottom up";
+    let coefficients = section.require(key, allowed, coefficients)?;
+    Some(Damping::Dashpots(chain(&system.storeys, &coefficients)))
 }
 
 fn read_damping_matrix(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Damping> {

@@ -3,12 +3,12 @@
 use super::matrices::beside;
 use super::node::{ChannelRead, degree_of_freedom};
 use super::{check_unique, find_name};
+use crate::diagnostics::one_of;
 use crate::excitation::{Action, Excitation, Measured};
 use crate::linear_system::LinearSystem;
 use crate::matrix_file::{self, Unusable};
 use crate::node::Quantity;
 use crate::section::{Allowed, Section};
-use crate::skeleton::Direction;
 use toml::Spanned;
 
 #[derive(Clone, Copy, PartialEq)]
@@ -58,7 +58,7 @@ fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<Ex
     let measured_on = section.name("measured-on");
     let kind = kind.map(Spanned::into_inner);
     let action = match kind {
-        Some(Kind::Ground) => read_influence(&mut section, context.system),
+        Some(Kind::Ground) => read_ground(&mut section, context.system),
         Some(Kind::Force) => {
             let dof = section.number_or_name("dof");
             let dof = section.require("dof", "must be the number or the name of a degree of freedom", dof);
@@ -93,6 +93,34 @@ fn read_std(section: &mut Section<'_>, rate_hz: Option<f64>) -> Option<f64> {
     std.map(Spanned::into_inner).or_else(|| intensity.and_then(of_intensity))
 }
 
+/// Reads how a ground motion moves the structure: its direction in a model with geometry, or an influence vector.
+fn read_ground(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Action> {
+    let Some(direction) = section.text("direction") else {
+        let geometry = system.is_some_and(|system| !system.ground_directions.is_empty());
+        if geometry && !section.contains("influence") {
+            let allowed = "must say in which direction the ground moves (or give influence)";
+            section.require("direction", allowed, None::<()>);
+        }
+        return read_influence(section, system);
+    };
+    if section.contains("influence") {
+        let allowed = "must not stand beside direction, which says the same";
+        section.diagnostics().report(section.span(), section.key("influence"), "is given", allowed);
+    }
+    section.leave_unread(&["influence"]);
+    let known = &system?.ground_directions;
+    let found = known.iter().find(|known| known.name == direction.get_ref());
+    if found.is_none() {
+        let allowed = match known[..] {
+            [] => "must not be given for a model without directions, see influence".to_owned(),
+            _ => one_of(direction.get_ref(), known.iter().map(|known| known.name)),
+        };
+        let (key, found) = (section.key("direction"), format!("is \"{}\"", direction.get_ref()));
+        section.diagnostics().report(direction.span(), key, found, allowed);
+    }
+    Some(Action::Ground { influence: found?.influence.clone() })
+}
+
 /// Reads the influence vector `ι` of a ground motion: a list, a file, or all ones.
 fn read_influence(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Action> {
     let key = "influence";
@@ -113,20 +141,9 @@ fn read_influence(section: &mut Section<'_>, system: Option<&LinearSystem>) -> O
             }
         }
     } else {
-        let direction = section.choice("direction", &Direction::WORDS[..3]);
         let Some(numbers) = section.numbers(key, Allowed::ANY) else {
-            return influence_of_direction(section, direction, system?);
+            return Some(Action::Ground { influence: vec![1.0; system?.len()] });
         };
-        if let Some(direction) = direction {
-            let allowed = "must be left out, or influence";
-            section.diagnostics().report(
-                direction.span(),
-                section.key("direction"),
-                "is given beside influence",
-                allowed,
-            );
-            return None;
-        }
         (numbers.span(), numbers.into_inner())
     };
     let len = system?.len();
@@ -137,30 +154,6 @@ fn read_influence(section: &mut Section<'_>, system: Option<&LinearSystem>) -> O
         return None;
     }
     Some(Action::Ground { influence })
-}
-
-/// Returns ones for the degrees of freedom in a direction, or everywhere in a model that has no directions.
-fn influence_of_direction(
-    section: &Section<'_>,
-    direction: Option<Spanned<Direction>>,
-    system: &LinearSystem,
-) -> Option<Action> {
-    let (span, found, allowed) = match direction {
-        None if system.directions.is_empty() => return Some(Action::Ground { influence: vec![1.0; system.len()] }),
-        None => {
-            (section.span(), "is missing", "must be \"x\", \"y\" or \"z\", the direction in which the ground moves")
-        }
-        Some(direction) => {
-            let along = |own: &Direction| f64::from(u8::from(own == direction.get_ref()));
-            let influence: Vec<f64> = system.directions.iter().map(along).collect();
-            if influence.contains(&1.0) {
-                return Some(Action::Ground { influence });
-            }
-            (direction.span(), "is a direction in which nothing moves", "must be one of the model's directions")
-        }
-    };
-    section.diagnostics().report(span, section.key("direction"), found, allowed);
-    None
 }
 
 fn read_measured(

@@ -4,6 +4,7 @@ use super::check_unique;
 use crate::linear_system::{Damping, LinearSystem, Mass, Substructure, dense};
 use crate::matrix_file::{self, Unusable};
 use crate::section::{Section, is_name};
+use crate::sparse_cholesky::SparseCholesky;
 use nalgebra::DVector;
 use nalgebra_sparse::CsrMatrix;
 use std::ops::Range;
@@ -58,8 +59,15 @@ pub(super) fn read_matrices(section: &mut Section<'_>) -> Option<LinearSystem> {
         return None;
     }
     let substructures = parts.into_iter().map(|(name, part)| Substructure { name, stiffness: part.matrix }).collect();
-    let damping = Damping::Rayleigh { alpha_per_s: 0.0, beta_s: 0.0 };
-    let system = LinearSystem { mass, substructures, damping, degrees_of_freedom, directions: Vec::new() };
+    let system = LinearSystem {
+        mass,
+        substructures,
+        damping: Damping::NONE,
+        degrees_of_freedom,
+        ground_directions: Vec::new(),
+        storeys: Vec::new(),
+        hysteresis: None,
+    };
     if let Some(free) = matrix_file::free_degree_of_freedom(&system.nominal_stiffness()) {
         let found = format!("leave degree of freedom {} free to move", system.degrees_of_freedom[free]);
         let allowed = "must hold the structure together: their sum must be positive definite";
@@ -96,7 +104,7 @@ fn check_mass(section: &Section<'_>, named: Named) -> Option<Mass> {
     if matrix.iter().filter(|entry| **entry != 0.0).count() == diagonal.len() {
         return Some(Mass::Lumped(diagonal));
     }
-    match matrix.clone().cholesky() {
+    match SparseCholesky::new(&matrix) {
         Some(factor) => Some(Mass::Consistent { matrix, factor }),
         None => refuse("has no Cholesky factor".to_owned()),
     }

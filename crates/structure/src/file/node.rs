@@ -88,6 +88,13 @@ fn read_channel(mut section: Section<'_>, system: Option<&LinearSystem>) -> Opti
         let found = format!("is \"{}\"", unit.get_ref());
         section.diagnostics().report(unit.span(), section.key("unit"), found, unit_rule);
     }
+    if let Some(quantity @ (Quantity::Displacement | Quantity::Strain)) = quantity
+        && system.is_some_and(|system| system.hysteresis.is_some())
+    {
+        let allowed =
+            "must be a velocity or an acceleration for the kind bouc-wen, which does not follow displacements";
+        section.diagnostics().report(section.span(), section.key("quantity"), format!("is \"{quantity}\""), allowed);
+    }
     let sensed = quantity.and_then(|quantity| read_sensed(&mut section, quantity, system));
     if quantity.is_none() {
         section.leave_unread(&["dof", "dofs", "coefficients"]);

@@ -1,6 +1,7 @@
 //! Reads `[[parameter]]`.
 
 use super::{check_unique, find_name};
+use crate::hysteresis::Constant;
 use crate::linear_system::{Damping, LinearSystem, Mass};
 use crate::parameter::{Parameter, Scales};
 use crate::section::{Allowed, Section};
@@ -10,15 +11,22 @@ use toml::Spanned;
 enum What {
     Stiffness,
     Mass,
+    Damping,
     DampingAlpha,
     DampingBeta,
+    Hysteresis(Constant),
 }
 
-const WHAT: [(&str, What); 4] = [
+const WHAT: [(&str, What); 9] = [
     ("stiffness", What::Stiffness),
     ("mass", What::Mass),
     ("damping-alpha", What::DampingAlpha),
     ("damping-beta", What::DampingBeta),
+    ("damping", What::Damping),
+    ("hysteresis-a", What::Hysteresis(Constant::A)),
+    ("hysteresis-mu", What::Hysteresis(Constant::Mu)),
+    ("hysteresis-kappa", What::Hysteresis(Constant::Kappa)),
+    ("hysteresis-eta", What::Hysteresis(Constant::Eta)),
 ];
 
 /// Default prior standard deviation of a stiffness or mass factor: drawings and material tests are rarely better.
@@ -69,12 +77,14 @@ fn read_parameter(
     let bounds = read_bounds(&mut section, mean);
     let what = what.map(Spanned::into_inner);
     let default_std = match what {
-        Some(What::DampingAlpha | What::DampingBeta) => DAMPING_STD,
-        Some(What::Stiffness | What::Mass) | None => STD,
+        Some(What::Damping | What::DampingAlpha | What::DampingBeta) => DAMPING_STD,
+        Some(What::Stiffness | What::Mass | What::Hysteresis(_)) | None => STD,
     };
     let scales = match what {
         Some(What::Stiffness) => read_stiffness(&mut section, system),
         Some(What::Mass) => read_mass(&mut section, system),
+        Some(What::Damping) => read_damping_of(&mut section, damping),
+        Some(What::Hysteresis(constant)) => read_constant(&section, constant, system),
         Some(damping_part) => read_damping_part(&section, damping_part, damping),
         None => {
             section.leave_unread(&["of"]);
@@ -144,11 +154,34 @@ fn read_mass(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option
     Some(Scales::Mass(found.into_iter().collect::<Option<_>>()?))
 }
 
+fn read_damping_of(section: &mut Section<'_>, damping: Option<&Damping>) -> Option<Scales> {
+    let of = read_of(section, "must list the storeys whose dashpots are scaled")?;
+    let Damping::Dashpots(parts) = damping? else {
+        let allowed = "must not be scaled storey by storey unless damping.kind is \"dashpots\"";
+        section.diagnostics().report(of.span(), section.key("scales"), "is \"damping\"", allowed);
+        return None;
+    };
+    let find = |name| find_name(section, "of", name, parts.iter().map(|part| part.name.as_str()));
+    let found: Vec<_> = of.get_ref().iter().map(find).collect();
+    Some(Scales::Dashpots(found.into_iter().collect::<Option<_>>()?))
+}
+
+fn read_constant(section: &Section<'_>, constant: Constant, system: Option<&LinearSystem>) -> Option<Scales> {
+    let law = system?.hysteresis;
+    if law.is_none_or(|law| law.constant(constant) == 0.0) {
+        let found = if law.is_none() { "has no effect: nothing is hysteretic" } else { "has no effect: it is 0" };
+        let allowed = "must scale a constant of the kind bouc-wen that is not zero";
+        section.diagnostics().report(section.span(), section.key("scales"), found, allowed);
+        return None;
+    }
+    Some(Scales::Hysteresis(constant))
+}
+
 fn read_damping_part(section: &Section<'_>, part: What, damping: Option<&Damping>) -> Option<Scales> {
     let (nominal, scales, coefficient) = match (damping?, part) {
         (Damping::Rayleigh { alpha_per_s, .. }, What::DampingAlpha) => (*alpha_per_s, Scales::DampingAlpha, "alpha"),
         (Damping::Rayleigh { beta_s, .. }, _) => (*beta_s, Scales::DampingBeta, "beta"),
-        (Damping::Matrix(_), _) => (0.0, Scales::DampingAlpha, "Rayleigh damping"),
+        (Damping::Dashpots(_) | Damping::Matrix(_), _) => (0.0, Scales::DampingAlpha, "Rayleigh damping"),
     };
     if nominal == 0.0 {
         let found = format!("has no effect: there is no {coefficient}");
@@ -171,6 +204,11 @@ fn check_scaled_once(section: &Section<'_>, scales: &Scales, system: Option<&Lin
                 let shared = a.iter().find(|index| b.contains(index));
                 shared.and_then(|index| Some(system?.degrees_of_freedom[*index].clone()))
             }
+            (Scales::Dashpots(a), Scales::Dashpots(b)) => {
+                let shared = a.iter().find(|index| b.contains(index));
+                shared.and_then(|index| Some(format!("the dashpot of {}", system?.storeys.get(*index)?.name)))
+            }
+            (Scales::Hysteresis(a), Scales::Hysteresis(b)) if a == b => Some("the same constant".to_owned()),
             (Scales::DampingAlpha, Scales::DampingAlpha) => Some("alpha".to_owned()),
             (Scales::DampingBeta, Scales::DampingBeta) => Some("beta".to_owned()),
             _ => None,

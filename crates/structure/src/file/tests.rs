@@ -35,7 +35,21 @@ fn line_of(text: &str, piece: &str) -> usize {
 
 #[test]
 fn every_example_is_read() {
-    for name in ["demo", "output-only", "matrices", "noisy"] {
+    for name in [
+        "demo",
+        "output-only",
+        "matrices",
+        "noisy",
+        "three-pier-bridge",
+        "fourteen-bay-truss",
+        "dome",
+        "bouc-wen-ten",
+        "bouc-wen-five",
+        "hysteretic-oscillator",
+        "dashpot-building",
+        "high-rise",
+        "tower",
+    ] {
         let path = examples().join(name).with_extension("toml");
         if let Err(error) = Structure::read(&path) {
             panic!("{error}");
@@ -152,7 +166,7 @@ fn numbers_out_of_range_or_not_finite_are_refused() {
     );
     assert_eq!(
         mistakes_after("noise-std = 0.005", "noise-std = inf"),
-        ["node.channel.noise-std: is inf, must be a finite number above 0"]
+        ["node.channel.noise-std: is inf, must be a finite number from 1e-30 and up to 1e30"]
     );
 }
 
@@ -168,7 +182,7 @@ fn numbers_whose_frequencies_overflow_are_refused() {
 fn a_value_of_the_wrong_type_is_refused() {
     assert_eq!(
         mistakes_after("sampling-rate-hz = 100", "sampling-rate-hz = \"fast\""),
-        ["structure.sampling-rate-hz: is \"fast\", must be a finite number above 0"]
+        ["structure.sampling-rate-hz: is \"fast\", must be a finite number from 0.001 and up to 20000"]
     );
     assert_eq!(
         mistakes_after("storeys = 5", "storeys = 5.5"),
@@ -515,5 +529,22 @@ noise-std = 1e-4
             let _ = read_with(FILE, MASS, &format!("%%MatrixMarket matrix {kind}\n{body}"), UPPER);
             let _ = read_with(FILE, MASS, &format!("%%MatrixMarket matrix {kind}\n2 2 1\n{body}"), UPPER);
         }
+    }
+}
+
+#[test]
+fn numbers_that_would_overflow_or_stall_a_filter_are_refused() {
+    for (from, to, key) in [
+        (
+            "half-life-s = 10",
+            "half-life-s = 1e-6",
+            "filter.half-life-s: is 0.000001, must be at least 10 time steps, 0.1 s",
+        ),
+        ("noise-std = 0.005", "noise-std = 1e200", "node.channel.noise-std: is 1e200"),
+        ("sampling-rate-hz = 100", "sampling-rate-hz = 1e9", "structure.sampling-rate-hz: is 1e9"),
+        ("std = 0.2", "std = 1e200", "parameter.std: is 1e200, must be a finite number from 1e-9 and up to 1e6"),
+    ] {
+        let mistakes = mistakes_after(from, to);
+        assert!(mistakes.iter().any(|mistake| mistake.starts_with(key)), "{mistakes:?}");
     }
 }

@@ -1,20 +1,32 @@
 //! What of the Jacobian depends on the point of linearisation.
 
 use super::Fixed;
+use crate::hysteresis::{Drive, Slopes};
 use crate::parameter::Scales;
 use nalgebra::DMatrix;
 
 /// The structure linearised at one state; everything is rewritten in place.
 #[derive(Debug, Clone)]
 pub(super) struct Point {
+    /// `x`, or `r` of hysteretic springs (N_d, m).
     pub(super) displacement: Vec<f64>,
     pub(super) velocity: Vec<f64>,
+    /// `w` (N_d), the velocity of floors or springs.
+    driving: Vec<f64>,
+    /// `ẋ`, or `ṙ` of hysteretic springs (N_d, m/s).
+    pub(super) rate: Vec<f64>,
+    /// Derivatives of `ṙ` of each hysteretic spring by its own `w` and `r`.
+    pub(super) slopes: Vec<Slopes>,
+    /// Derivatives of `ṙ` by the parameters that scale a constant of its law: which, and a column (N_d) each.
+    rate_by_theta: Vec<(usize, Vec<f64>)>,
     /// `θ` (N_θ).
     pub(super) theta: Vec<f64>,
     pub(super) alpha_per_s: f64,
     pub(super) beta_s: f64,
     /// Values of `K(θ)` (N/m).
     pub(super) stiffness: Vec<f64>,
+    /// Values of `C(θ)` (N s/m) of dashpots or a given matrix; empty with Rayleigh damping.
+    pub(super) damping: Vec<f64>,
     /// `1/θ` of the mass of each degree of freedom, 1 where none scales it.
     pub(super) mass_factors_inverse: Vec<f64>,
     /// `−M⁻¹(C ẋ + K x)` (N_d).
@@ -29,10 +41,8 @@ pub(super) struct Point {
     pub(super) restoring_by_theta: DMatrix<f64>,
     /// `W = ∂ẍ/∂θ` (N_d × N_θ): with the forces, whose effect depends on the mass.
     pub(super) acceleration_by_theta: DMatrix<f64>,
-    /// `x + β ẋ` (N_d).
+    /// `x + β w` (N_d).
     stretched: Vec<f64>,
-    /// (N_d)
-    scratch: Vec<f64>,
 }
 
 impl Point {
@@ -40,13 +50,19 @@ impl Point {
         debug_assert_eq!(fixed.forces.ncols(), inputs);
         let (free, parameters) = (fixed.assembly.len(), fixed.parameters.len());
         let zeros = || vec![0.0; free];
+        let hysteretic = fixed.parameters.iter().enumerate().filter(|(_, p)| matches!(p.scales, Scales::Hysteresis(_)));
         Self {
             displacement: zeros(),
             velocity: zeros(),
+            driving: zeros(),
+            rate: zeros(),
+            slopes: fixed.hysteresis.map_or(Vec::new(), |law| vec![law.slopes(0.0, 0.0); free]),
+            rate_by_theta: hysteretic.map(|(index, _)| (index, zeros())).collect(),
             theta: vec![1.0; parameters],
             alpha_per_s: fixed.alpha_per_s,
             beta_s: fixed.beta_s,
             stiffness: vec![0.0; fixed.assembly.entry_count()],
+            damping: vec![0.0; fixed.assembly.damping().map_or(0, |_| fixed.assembly.entry_count())],
             mass_factors_inverse: vec![1.0; free],
             restoring: zeros(),
             forced: zeros(),
@@ -55,7 +71,6 @@ impl Point {
             restoring_by_theta: DMatrix::zeros(free, parameters),
             acceleration_by_theta: DMatrix::zeros(free, parameters),
             stretched: zeros(),
-            scratch: zeros(),
         }
     }
 
@@ -65,19 +80,24 @@ impl Point {
         self.displacement.copy_from_slice(&state[..free]);
         self.velocity.copy_from_slice(&state[free..2 * free]);
         self.theta.copy_from_slice(&state[2 * free..]);
+        fixed.drive_to(&self.velocity, &mut self.driving);
         self.scale(fixed);
+        self.move_springs(fixed);
         self.accelerate(fixed, excitation);
         self.differentiate(fixed);
     }
 
     /// Scales stiffness, mass and damping by `θ`.
     fn scale(&mut self, fixed: &Fixed) {
-        fixed.assembly.assemble_to(&self.theta, &mut self.stiffness);
+        fixed.assembly.stiffness().assemble_to(&self.theta, &mut self.stiffness);
+        if let Some(damping) = fixed.assembly.damping() {
+            damping.assemble_to(&self.theta, &mut self.damping);
+        }
         (self.alpha_per_s, self.beta_s) = (fixed.alpha_per_s, fixed.beta_s);
         self.mass_factors_inverse.fill(1.0);
         for (parameter, theta) in fixed.parameters.iter().zip(&self.theta) {
             match &parameter.scales {
-                Scales::Stiffness(_) => {}
+                Scales::Stiffness(_) | Scales::Dashpots(_) | Scales::Hysteresis(_) => {}
                 Scales::DampingAlpha => self.alpha_per_s *= theta,
                 Scales::DampingBeta => self.beta_s *= theta,
                 Scales::Mass(dofs) => {
@@ -89,16 +109,54 @@ impl Point {
         }
     }
 
+    /// Writes `ṙ` and its derivatives, (2.88), or `ẋ`.
+    fn move_springs(&mut self, fixed: &Fixed) {
+        let Some(mut law) = fixed.hysteresis else {
+            self.rate.copy_from_slice(&self.velocity);
+            return;
+        };
+        for (parameter, theta) in fixed.parameters.iter().zip(&self.theta) {
+            if let Scales::Hysteresis(constant) = parameter.scales {
+                law.scale(constant, *theta);
+            }
+        }
+        let springs = || self.driving.iter().zip(&self.displacement);
+        for ((rate, slopes), (w, r)) in self.rate.iter_mut().zip(&mut self.slopes).zip(springs()) {
+            *rate = law.rate(*w, *r);
+            *slopes = law.slopes(*w, *r);
+        }
+        for (parameter, column) in &mut self.rate_by_theta {
+            if let Scales::Hysteresis(constant) = fixed.parameters[*parameter].scales {
+                let Some(nominal) = fixed.hysteresis.map(|law| law.constant(constant)) else { continue };
+                for (entry, (w, r)) in column.iter_mut().zip(springs()) {
+                    *entry = nominal * law.slope_by(constant, *w, *r);
+                }
+            }
+        }
+    }
+
+    /// Replaces `w` in the place of `out` (N_d) by `ṙ` along a column with the parts `r` and `theta`; leaves `ẋ` as it is.
+    fn differentiate_rate(&self, r: &[f64], theta: &[f64], out: &mut [f64]) {
+        for ((entry, slopes), r) in out.iter_mut().zip(&self.slopes).zip(r) {
+            *entry = slopes.by_velocity * *entry + slopes.by_displacement * r;
+        }
+        for (parameter, column) in &self.rate_by_theta {
+            for (entry, slope) in out.iter_mut().zip(column) {
+                *entry += slope * theta[*parameter];
+            }
+        }
+    }
+
     /// Writes the three parts of `ẍ = −M⁻¹(C ẋ + K x) + M⁻¹ T f`, equation (2.45).
     fn accelerate(&mut self, fixed: &Fixed, excitation: &[f64]) {
-        for ((s, x), v) in self.stretched.iter_mut().zip(&self.displacement).zip(&self.velocity) {
-            *s = x + self.beta_s * v;
+        for ((s, x), w) in self.stretched.iter_mut().zip(&self.displacement).zip(&self.driving) {
+            *s = x + self.beta_s * w;
         }
-        fixed.assembly.mul_to(&self.stiffness, &self.stretched, &mut self.restoring); // K (x + β ẋ)
-        if let Some(damping) = fixed.assembly.damping() {
-            fixed.assembly.mul_add_to(damping, &self.velocity, &mut self.restoring); // + C ẋ
+        fixed.assembly.mul_to(&self.stiffness, &self.stretched, &mut self.restoring); // K (x + β w)
+        if !self.damping.is_empty() {
+            fixed.assembly.mul_add_to(&self.damping, &self.velocity, &mut self.restoring); // + C ẋ
         }
-        fixed.divide_by_mass(&mut self.restoring, &mut self.scratch);
+        fixed.divide_by_mass(&mut self.restoring);
         self.forced.fill(0.0);
         self.ground.fill(0.0);
         for (input, f) in excitation.iter().enumerate() {
@@ -115,16 +173,24 @@ impl Point {
         }
     }
 
-    /// Writes `∂ẍ/∂θ`, with `∂R/∂θ = K_θ (x + β ẋ)`, `M ẋ` and `K ẋ` for stiffness, `α` and `β`.
+    /// Writes `∂ẍ/∂θ`, with `∂R/∂θ = K_θ (x + β w)`, `C_θ ẋ`, `M ẋ` and `K w` for stiffness, dashpots, `α` and `β`.
     fn differentiate(&mut self, fixed: &Fixed) {
         let free = self.velocity.len();
         self.restoring_by_theta.fill(0.0);
         let columns = self.restoring_by_theta.as_mut_slice().chunks_exact_mut(free);
         for ((index, parameter), column) in fixed.parameters.iter().enumerate().zip(columns) {
             match &parameter.scales {
-                Scales::Stiffness(_) => fixed.assembly.mul_scaled_add_to(index, &self.stretched, column),
+                Scales::Stiffness(_) => {
+                    fixed.assembly.stiffness().mul_scaled_add_to(index, &self.stretched, column);
+                }
+                Scales::Dashpots(_) => {
+                    if let Some(damping) = fixed.assembly.damping() {
+                        damping.mul_scaled_add_to(index, &self.velocity, column);
+                    }
+                }
+                Scales::Hysteresis(_) => continue, // moves the rate of r only
                 Scales::DampingBeta => {
-                    fixed.assembly.mul_to(&self.stiffness, &self.velocity, column);
+                    fixed.assembly.mul_to(&self.stiffness, &self.driving, column);
                     column.iter_mut().for_each(|entry| *entry *= fixed.beta_s);
                 }
                 Scales::DampingAlpha => {
@@ -142,7 +208,7 @@ impl Point {
                     continue;
                 }
             }
-            fixed.divide_by_mass(column, &mut self.scratch);
+            fixed.divide_by_mass(column);
             for (entry, by_mass) in column.iter_mut().zip(&self.mass_factors_inverse) {
                 *entry *= -by_mass;
             }
@@ -163,29 +229,23 @@ impl Point {
         let len = columns.nrows();
         for (column, out) in columns.as_slice().chunks_exact(len).zip(out.as_mut_slice().chunks_exact_mut(len)) {
             let (x, rest) = column.split_at(free);
-            let (v, _) = rest.split_at(free);
+            let (v, theta) = rest.split_at(free);
             let (out_x, rest) = out.split_at_mut(free);
-            let (out_v, _) = rest.split_at_mut(free);
-            // the rows of x and ẋ lend their place to what comes before
-            let (stretched, elastic): (&mut [f64], &mut [f64]) = match fixed.mass_inverse {
-                Some(_) => (&mut *out_v, &mut *out_x),
-                None => (&mut *out_x, &mut *out_v),
-            };
-            for ((s, x), v) in stretched.iter_mut().zip(x).zip(v) {
-                *s = x + self.beta_s * v;
+            let (out_v, out_theta) = rest.split_at_mut(free);
+            // the rows of x lend their place to x + β w
+            fixed.drive_to(v, out_x);
+            for (s, x) in out_x.iter_mut().zip(x) {
+                *s = x + self.beta_s * *s;
             }
-            fixed.assembly.mul_to(&self.stiffness, stretched, elastic); // K (X + β V)
-            if let Some(damping) = fixed.assembly.damping() {
-                fixed.assembly.mul_add_to(damping, v, elastic); // + C V
+            fixed.assembly.mul_to(&self.stiffness, out_x, out_v); // K (X + β W)
+            if !self.damping.is_empty() {
+                fixed.assembly.mul_add_to(&self.damping, v, out_v); // + C V
             }
-            if let Some(inverse) = &fixed.mass_inverse {
-                mul_dense_to(inverse, out_x, out_v);
+            fixed.drive_to(v, out_x);
+            self.differentiate_rate(x, theta, out_x);
+            if let Some(factor) = &fixed.mass_factor {
+                factor.solve_mut(out_v);
             }
-            out_x.copy_from_slice(v);
-        }
-        for (column, out) in columns.as_slice().chunks_exact(len).zip(out.as_mut_slice().chunks_exact_mut(len)) {
-            let (v, theta) = column[free..].split_at(free);
-            let (out_v, out_theta) = out[free..].split_at_mut(free);
             let by_mass = fixed.reciprocal_masses.iter().zip(&self.mass_factors_inverse);
             for ((entry, v), (reciprocal, factor)) in out_v.iter_mut().zip(v).zip(by_mass) {
                 *entry = -reciprocal * factor * *entry - self.alpha_per_s * v; // −M⁻¹ (…) − α V
@@ -202,37 +262,23 @@ impl Point {
 }
 
 impl Fixed {
+    /// Writes `w = D ẋ` (N_d): the velocity itself, unless springs answer to their own drift.
+    fn drive_to(&self, velocity: &[f64], out: &mut [f64]) {
+        self.hysteresis.map_or(Drive::Floor, |law| law.drive).drive_to(velocity, out);
+    }
+
+    /// Returns one entry of `w = D ẋ`.
+    pub(super) fn driven(&self, velocity: &[f64], entry: usize) -> f64 {
+        self.hysteresis.map_or(Drive::Floor, |law| law.drive).driven(velocity, entry)
+    }
+
     /// Replaces a vector `r` (N_d) by `M⁻¹ r` with the mass as designed.
-    ///
-    /// `scratch` (N_d) is overwritten.
-    fn divide_by_mass(&self, r: &mut [f64], scratch: &mut [f64]) {
-        if let Some(inverse) = &self.mass_inverse {
-            scratch.copy_from_slice(r);
-            mul_dense_to(inverse, scratch, r);
+    fn divide_by_mass(&self, r: &mut [f64]) {
+        if let Some(factor) = &self.mass_factor {
+            factor.solve_mut(r);
         }
         for (entry, reciprocal) in r.iter_mut().zip(&self.reciprocal_masses) {
             *entry *= reciprocal;
-        }
-    }
-}
-
-/// Writes `y = A x` for a square matrix, column by column: nalgebra's own product of this size allocates.
-fn mul_dense_to(matrix: &DMatrix<f64>, x: &[f64], y: &mut [f64]) {
-    let len = y.len();
-    y.fill(0.0);
-    let mut columns = matrix.as_slice().chunks_exact(4 * len);
-    let mut fours = x.chunks_exact(4);
-    for (four, x) in columns.by_ref().zip(fours.by_ref()) {
-        let (a, rest) = four.split_at(len);
-        let (b, rest) = rest.split_at(len);
-        let (c, d) = rest.split_at(len);
-        for ((((y, a), b), c), d) in y.iter_mut().zip(a).zip(b).zip(c).zip(d) {
-            *y += (a * x[0] + b * x[1]) + (c * x[2] + d * x[3]);
-        }
-    }
-    for (column, x) in columns.remainder().chunks_exact(len).zip(fours.remainder()) {
-        for (y, a) in y.iter_mut().zip(column) {
-            *y += a * x;
         }
     }
 }

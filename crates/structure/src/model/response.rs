@@ -34,7 +34,7 @@ pub(super) struct Acceleration {
     columns: Vec<usize>,
     /// `−M⁻¹ K` (1/s²).
     stiffness: Vec<f64>,
-    /// `−M⁻¹ C` of a given `C` (1/s); empty otherwise.
+    /// `−M⁻¹ C` of dashpots or a given `C` (1/s); empty otherwise.
     damping: Vec<f64>,
 }
 
@@ -113,7 +113,7 @@ impl Acceleration {
     }
 
     fn linearise(&mut self, fixed: &Fixed, point: &Point) {
-        let given = fixed.assembly.damping();
+        let given = &point.damping;
         match &self.by_mass {
             None => {
                 let by_mass = -fixed.reciprocal_masses[self.dof] * point.mass_factors_inverse[self.dof];
@@ -121,8 +121,7 @@ impl Acceleration {
                 for (entry, k) in self.stiffness.iter_mut().zip(&point.stiffness[range.clone()]) {
                     *entry = by_mass * k;
                 }
-                for (entry, c) in self.damping.iter_mut().zip(given.unwrap_or_default().get(range).unwrap_or_default())
-                {
+                for (entry, c) in self.damping.iter_mut().zip(given.get(range).unwrap_or_default()) {
                     *entry = by_mass * c;
                 }
             }
@@ -130,7 +129,7 @@ impl Acceleration {
                 // row of M⁻¹K = K times the column of M⁻¹, both symmetric
                 fixed.assembly.mul_to(&point.stiffness, by_mass, &mut self.stiffness);
                 self.stiffness.iter_mut().for_each(|entry| *entry = -*entry);
-                if let Some(given) = given {
+                if !given.is_empty() {
                     fixed.assembly.mul_to(given, by_mass, &mut self.damping);
                     self.damping.iter_mut().for_each(|entry| *entry = -*entry);
                 }
@@ -141,7 +140,7 @@ impl Acceleration {
     fn jacobian_dot(&self, fixed: &Fixed, point: &Point, x: &[f64], v: &[f64], theta: &[f64]) -> f64 {
         let mut sum = -point.alpha_per_s * v[self.dof];
         for (k, column) in self.stiffness.iter().zip(&self.columns) {
-            sum += k * (x[*column] + point.beta_s * v[*column]);
+            sum += k * (x[*column] + point.beta_s * fixed.driven(v, *column));
         }
         for (c, column) in self.damping.iter().zip(&self.columns) {
             sum += c * v[*column];

@@ -20,15 +20,21 @@ fn parse_at(text: &str, path: &Path) -> Structure {
 
 /// All kinds of channels; degrees of freedom by number, so that every model with at least three can have them.
 fn channels() -> String {
+    channels_of(&CHANNELS)
+}
+
+/// Quantity, place and unit; hysteretic models have the first four.
+const CHANNELS: [(&str, &str, &str); 6] = [
+    ("absolute-acceleration", "dof = 1", "m/s2"),
+    ("relative-acceleration", "dof = 2", "m/s2"),
+    ("restoring-acceleration", "dof = 3", "m/s2"),
+    ("velocity", "dof = 1", "m/s"),
+    ("displacement", "dof = 3", "m"),
+    ("strain", "dofs = [1, 3]\ncoefficients = [-0.5, 0.25]", "1"),
+];
+
+fn channels_of(rows: &[(&str, &str, &str)]) -> String {
     let mut text = String::from("[[node]]\nname = \"node\"\n");
-    let rows = [
-        ("absolute-acceleration", "dof = 1", "m/s2"),
-        ("relative-acceleration", "dof = 2", "m/s2"),
-        ("restoring-acceleration", "dof = 3", "m/s2"),
-        ("velocity", "dof = 1", "m/s"),
-        ("displacement", "dof = 3", "m"),
-        ("strain", "dofs = [1, 3]\ncoefficients = [-0.5, 0.25]", "1"),
-    ];
     for (quantity, place, unit) in rows {
         let channel = "[[node.channel]]";
         writeln!(
@@ -128,6 +134,104 @@ fn of_matrices(mass: &str, damping: &str) -> Structure {
     parse_at(&text, &path)
 }
 
+/// Three hysteretic springs with every kind of parameter, driven as said.
+fn bouc_wen(drive: &str) -> Structure {
+    parse(&format!(
+        r#"
+        [structure]
+        name = "chain"
+        sampling-rate-hz = 100
+        [model]
+        kind = "bouc-wen"
+        masses-kg = [2, 1.5, 1]
+        stiffnesses-n-per-m = [900, 700, 500]
+        a = 1.4
+        mu = 5
+        kappa = 2
+        eta = 1.5
+        drive = "{drive}"
+        [damping]
+        kind = "rayleigh"
+        alpha-per-s = 0.3
+        beta-s = 0.004
+        [[parameter]]
+        name = "low"
+        scales = "stiffness"
+        of = ["storey-1", "storey-2"]
+        [[parameter]]
+        name = "mass"
+        scales = "mass"
+        of = ["floor-3"]
+        [[parameter]]
+        name = "beta"
+        scales = "damping-beta"
+        [[parameter]]
+        name = "a"
+        scales = "hysteresis-a"
+        [[parameter]]
+        name = "mu"
+        scales = "hysteresis-mu"
+        [[parameter]]
+        name = "kappa"
+        scales = "hysteresis-kappa"
+        [[parameter]]
+        name = "eta"
+        scales = "hysteresis-eta"
+        {EXCITATIONS}{}"#,
+        channels_of(&CHANNELS[..4])
+    ))
+}
+
+/// The three storeys with dashpots, two of them scaled.
+fn dashpots() -> Structure {
+    let text = shear_building().text().to_owned();
+    let (from, to) = (text.find("[damping]").unwrap(), text.find("[[parameter]]").unwrap());
+    let (alpha, excitation) = (text.find("[[parameter]]\n        name = \"alpha\"").unwrap(), "\n[[excitation]]");
+    let dashpots = "[damping]\nkind = \"dashpots\"\ncoefficients-n-s-per-m = [4, 3, 2]\n";
+    let scaled = "[[parameter]]\nname = \"dashpots\"\nscales = \"damping\"\nof = [\"storey-1\", \"storey-3\"]\n";
+    let rest = text.find(excitation).unwrap();
+    parse(&format!("{}{dashpots}{}{scaled}{}", &text[..from], &text[to..alpha], &text[rest..]))
+}
+
+/// One node of a mesh that is free, with its three degrees of freedom: the end of an inclined beam, or the foot of bars.
+fn of_members(model: &str) -> Structure {
+    parse(&format!(
+        r#"
+        [structure]
+        name = "members"
+        sampling-rate-hz = 100
+        [damping]
+        kind = "rayleigh"
+        alpha-per-s = 0.3
+        beta-s = 0.004
+        [[parameter]]
+        name = "first"
+        scales = "stiffness"
+        of = ["first"]
+        [[parameter]]
+        name = "beta"
+        scales = "damping-beta"
+        [model]
+        section = [{{ name = "steel", area-m2 = 1e-4, modulus-pa = 1e8, density-kg-per-m3 = 8000, {model}
+        {EXCITATIONS}{}"#,
+        channels()
+    ))
+}
+
+const BEAM: &str = r#"second-moment-m4 = 1e-5 }]
+kind = "frame"
+nodes = { 1 = [0, 0], 2 = [1, 2] }
+group = [{ name = "first", section = "steel", paths = [[1, 2]] }]
+support = [{ nodes = [1], fixed = ["x", "y", "r"] }]
+"#;
+
+const TRIPOD: &str = r#"}]
+kind = "truss"
+nodes = { 1 = [0, 0, 0], 2 = [1, 0, 2], 3 = [-1, 1, 2], 4 = [0, -1, 2] }
+group = [{ name = "first", section = "steel", paths = [[1, 2], [1, 3]] }, { name = "second", section = "steel", paths = [[1, 4]] }]
+support = [{ nodes = [2, 3, 4], fixed = ["x", "y", "z"] }]
+"#;
+
 fn examples() -> Vec<(&'static str, Structure)> {
     let rayleigh = "kind = \"rayleigh\"\nalpha-per-s = 0.3\nbeta-s = 0.004";
     let given = "kind = \"matrix\"\nfile = \"c.mtx\"";
@@ -137,6 +241,11 @@ fn examples() -> Vec<(&'static str, Structure)> {
         ("consistent mass, Rayleigh damping", of_matrices(CONSISTENT_MASS, rayleigh)),
         ("consistent mass, damping matrix", of_matrices(CONSISTENT_MASS, given)),
         ("lumped mass, damping matrix", of_matrices(lumped, given)),
+        ("frame", of_members(BEAM)),
+        ("truss", of_members(TRIPOD)),
+        ("dashpots", dashpots()),
+        ("hysteresis, driven by floors", bouc_wen("floor")),
+        ("hysteresis, driven by drifts", bouc_wen("drift")),
     ]
 }
 
@@ -339,7 +448,7 @@ fn the_published_sixty_storey_building_has_its_frequencies_and_damping() {
     );
     let modes = structure.nominal_modes().unwrap();
     let frequencies: Vec<f64> = modes.angular_frequencies.iter().map(|omega| omega / (2.0 * PI)).collect();
-    let ratios = modes.damping_ratios(&structure.system.damping);
+    let ratios = modes.damping_ratios(&structure.system);
     assert!((frequencies[0] - 0.1669).abs() < 5e-5, "{}", frequencies[0]);
     assert!((frequencies[1] - 0.5007).abs() < 5e-5, "{}", frequencies[1]);
     // β is printed with two figures, which leaves 1 % of the damping open
@@ -356,14 +465,16 @@ fn the_published_chain_has_its_frequency() {
         crate::shear_building::ShearBuilding { masses_kg: vec![1.0; 5], stiffnesses_n_per_m: vec![5000.0; 5] };
     let system = LinearSystem {
         mass: stiffness.mass(),
-        substructures: stiffness.substructures(),
+        substructures: stiffness.substructures(&crate::shear_building::with_single_storeys(Vec::new(), 5)),
         damping: Damping::Rayleigh { alpha_per_s: 0.2998, beta_s: 2.536e-4 },
         degrees_of_freedom: stiffness.degrees_of_freedom(),
-        directions: Vec::new(),
+        ground_directions: Vec::new(),
+        storeys: Vec::new(),
+        hysteresis: None,
     };
     let modes = Modes::of(&system, &[1.0; 5]).unwrap();
     assert!((modes.angular_frequencies[0] / (2.0 * PI) - 3.203).abs() < 0.001);
-    let ratios = modes.damping_ratios(&system.damping);
+    let ratios = modes.damping_ratios(&system);
     assert!((ratios[0] - 0.01).abs() < 1e-4 && (ratios[1] - 0.01).abs() < 1e-4, "{ratios:?}");
 }
 
@@ -372,8 +483,48 @@ fn a_uniform_building_has_the_frequency_and_damping_it_was_asked_for() {
     let demo = parse(include_str!("../../../../docs/examples/demo.toml"));
     let modes = demo.nominal_modes().unwrap();
     assert!((modes.angular_frequencies[0] / (2.0 * PI) - 1.0).abs() < 1e-12);
-    let ratios = modes.damping_ratios(&demo.system.damping);
+    let ratios = modes.damping_ratios(&demo.system);
     assert!((ratios[0] - 0.02).abs() < 1e-12 && (ratios[1] - 0.02).abs() < 1e-12, "{ratios:?}");
+}
+
+/// Natural frequencies (Hz) and damping ratios as designed of an example file.
+fn modes_of(text: &str) -> (Vec<f64>, Vec<f64>) {
+    let structure = parse(text);
+    let modes = structure.nominal_modes().unwrap();
+    let frequencies = modes.angular_frequencies.iter().map(|omega| omega / (2.0 * PI)).collect();
+    (frequencies, modes.damping_ratios(&structure.system))
+}
+
+/// Huang & Yuen (2023), §2.4.6 and §5.6.2: the small motions of both chains, 1 % and 2 % in modes 1 and 2; the second has a
+/// period of 0.494 s.
+#[test]
+fn the_published_hysteretic_chains_have_their_frequencies_and_damping() {
+    let (frequencies, ratios) = modes_of(include_str!("../../../../docs/examples/bouc-wen-ten.toml"));
+    assert!((frequencies[0] - 1.0638).abs() < 1e-4 && (frequencies[1] - 3.1676).abs() < 1e-4, "{frequencies:?}");
+    assert!((ratios[0] - 0.01).abs() < 1e-5 && (ratios[1] - 0.01).abs() < 1e-5, "{ratios:?}");
+    let (frequencies, ratios) = modes_of(include_str!("../../../../docs/examples/bouc-wen-five.toml"));
+    assert!((1.0 / frequencies[0] - 0.494).abs() < 5e-4, "{frequencies:?}");
+    assert!((ratios[0] - 0.02).abs() < 1e-4 && (ratios[1] - 0.02).abs() < 1e-4, "{ratios:?}");
+}
+
+/// `a` multiplies the stiffness of small motions, and with it their frequencies: θ₁/m = 6 s⁻² of the oscillator.
+#[test]
+fn the_oscillator_has_the_frequency_of_its_initial_slope() {
+    let (frequencies, _) = modes_of(include_str!("../../../../docs/examples/hysteretic-oscillator.toml"));
+    assert!((frequencies[0] - 6.0_f64.sqrt() / (2.0 * PI)).abs() < 1e-12, "{frequencies:?}");
+}
+
+/// Huang & Yuen (2023), §5.6.1: `ω_j = 80 sin((2j − 1) π / 202)`, 1 % in modes 1 and 2.
+#[test]
+fn the_published_fifty_storey_building_has_its_frequencies_and_damping() {
+    let (frequencies, ratios) = modes_of(include_str!("../../../../docs/examples/high-rise.toml"));
+    assert_eq!(frequencies.len(), 50);
+    for (mode, found) in frequencies.iter().enumerate() {
+        let expected = 80.0 * ((2 * mode + 1) as f64 * PI / 202.0).sin() / (2.0 * PI);
+        assert!((found / expected - 1.0).abs() < 1e-10, "mode {}: {found} instead of {expected}", mode + 1);
+    }
+    // α and β are printed with two figures and one, which leaves some of the damping open
+    assert!((ratios[0] - 0.01).abs() < 2e-4 && (ratios[1] - 0.01).abs() < 2e-4, "{ratios:?}");
 }
 
 /// First natural frequencies of a cantilever of Euler-Bernoulli beams, `(β L)² √(EI / m L⁴) / 2π`, βL = 1.8751, 4.6941;
@@ -391,11 +542,15 @@ fn the_mast_of_the_example_is_a_cantilever() {
 proptest! {
     /// The bound holds for any parameters within their limits.
     #[test]
-    fn no_rate_exceeds_the_bound(factors in proptest::collection::vec(0.05f64..20.0, 4)) {
+    fn no_rate_exceeds_the_bound(
+        factors in proptest::collection::vec(0.05f64..20.0, 7),
+        moved in proptest::collection::vec(-1.0f64..1.0, 6),
+    ) {
         for (what, structure) in examples() {
             let mut model = structure.model();
             let (len, parameters) = (model.state_len(), model.parameter_len());
             let mut state = vec![0.0; len];
+            state[..6].copy_from_slice(&moved);
             state[len - parameters..].copy_from_slice(&factors[..parameters]);
             model.linearise_process(&state, &[0.0; 3]);
             let mut a = DMatrix::zeros(len, len);

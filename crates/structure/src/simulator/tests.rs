@@ -1,7 +1,8 @@
 //! The simulation against closed forms, its faults, and its repeatability.
 
 use super::*;
-use spandrel_filter::ProcessModel;
+use crate::linear_form::{LinearForm, Recursion};
+use spandrel_filter::{InputHold, ProcessModel};
 use std::path::Path;
 
 const DEMO: &str = include_str!("../../../../docs/examples/demo.toml");
@@ -96,6 +97,87 @@ fn a_first_order_hold_is_the_limit_of_small_held_steps() {
     };
     let (coarse, fine) = (error(8), error(16));
     assert!(coarse < 1e-5 && (coarse / fine - 4.0).abs() < 0.1, "{coarse:e} {fine:e}");
+}
+
+/// Three floors whose velocities are seen, as a shear building or with hysteretic springs that are hardly moved.
+fn chain(model: &str, hold: &str, std: f64) -> Structure {
+    let floors = [1, 2, 3].map(|floor| {
+        format!(
+            "[[node.channel]]\nname = \"floor-{floor}\"\nquantity = \"velocity\"\ndof = {floor}\nunit = \"m/s\"\n\
+             noise-std = 1e-30\n"
+        )
+    });
+    parse(&format!(
+        r#"
+        [structure]
+        name = "chain"
+        sampling-rate-hz = 100
+        [model]
+        masses-kg = [2, 1.5, 1]
+        stiffnesses-n-per-m = [900, 700, 500]
+        {model}
+        [damping]
+        kind = "rayleigh"
+        ratio = 0.02
+        [[parameter]]
+        name = "first"
+        scales = "stiffness"
+        of = ["storey-1"]
+        [[excitation]]
+        name = "ground"
+        kind = "ground"
+        std = {std:e}
+        [[excitation]]
+        name = "push"
+        kind = "force"
+        dof = 2
+        std = {std:e}
+        [filter]
+        input-hold = "{hold}"
+        [simulation]
+        damage = [{{ parameter = "first", at-s = 2, loss = 0.3 }}]
+        [[node]]
+        name = "floors"
+        {}"#,
+        floors.concat()
+    ))
+}
+
+const LAW: &str = "kind = \"bouc-wen\"\nmu = 1000\nkappa = 1500\neta = 2\n";
+
+/// Springs far below their yield amplitude are linear: the substeps against the exact recursion, damage included.
+///
+/// A substep `h` is off by `(ωh)⁵/120`, and damping forgets it in `1/(ζωh)` substeps: with `ωh < 0.1` and ζ = 2 % that adds
+/// up to 4·10⁻⁵ of the amplitude.
+#[test]
+fn small_motions_of_hysteretic_springs_are_those_of_a_shear_building() {
+    for hold in ["zero-order", "first-order"] {
+        let linear: Vec<_> = chain("kind = \"shear-building\"", hold, 1e-7).simulator(1).take(400).collect();
+        let amplitude = linear.iter().flat_map(|frame| &frame.values).fold(0.0_f64, |most, v| most.max(v.abs()));
+        for drive in ["floor", "drift"] {
+            let hysteretic = chain(&format!("{LAW}drive = \"{drive}\"\n"), hold, 1e-7);
+            for (expected, found) in linear.iter().zip(hysteretic.simulator(1)) {
+                for (expected, found) in expected.values.iter().zip(&found.values) {
+                    let difference = (expected - found).abs();
+                    assert!(difference < 4e-5 * amplitude, "{drive}, {hold}, frame {}: {difference:e}", expected);
+                }
+            }
+        }
+    }
+}
+
+/// No motion takes a spring beyond `(μ + κ)^(−1/η)`, and this one takes it there.
+#[test]
+fn hysteretic_springs_yield() {
+    for drive in ["floor", "drift"] {
+        let mut simulator = chain(&format!("{LAW}drive = \"{drive}\"\n"), "zero-order", 50.0).simulator(1);
+        let mut largest = 0.0_f64;
+        for _ in 0..1000 {
+            simulator.advance_frame();
+            largest = simulator.state()[..3].iter().fold(largest, |most, r| most.max(r.abs()));
+        }
+        assert!(largest < 0.02 * (1.0 + 1e-12) && largest > 0.019, "{drive}: {largest}");
+    }
 }
 
 #[test]

@@ -10,10 +10,10 @@ use crate::outcome::{Outcome, Plot};
 use crate::run::Run;
 use crate::scene::Course;
 use crate::statistics::{Accuracy, Normal, rms};
+use crate::systems::bouc_wen::{BoucWenChain, BoucWenModel, SHAPE_PARAMETERS};
 use crate::systems::hysteretic::{Events, Motion, spring_force};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{Annealing, ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, NoiseModel};
-use spandrel_structure::{BoucWenChain, BoucWenModel, HysteresisDrive, SHAPE_PARAMETERS};
 use std::f64::consts::PI;
 
 const MASSES: usize = 10;
@@ -35,7 +35,6 @@ fn chain() -> BoucWenChain {
         mu: 1000.0,
         kappa: 1500.0,
         eta: 2.0,
-        drive: HysteresisDrive::Mass,
         sensed: SENSED.to_vec(),
     }
 }

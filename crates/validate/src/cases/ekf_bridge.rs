@@ -15,7 +15,7 @@ const GROUPS: usize = 7;
 /// Numbers of the two groups that are damaged.
 const DAMAGED: [usize; 2] = [1, 5];
 /// Rotation of node 4, horizontal of 8, vertical of 11.
-const RESPONSES: [&str; 3] = ["4-r", "8-x", "11-y"];
+const RESPONSES: [&str; 3] = ["node-4-r", "node-8-x", "node-11-y"];
 
 pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let (seconds, jumps) = run.pick((200.0, [100.0, 150.0]), (30.0, [14.0, 22.0]));

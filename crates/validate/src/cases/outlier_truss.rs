@@ -10,11 +10,11 @@ use crate::outcome::Outcome;
 use crate::run::Run;
 use crate::scene::{self, Course, Plan, Scene};
 use crate::statistics::{Accuracy, Uniform};
-use spandrel_filter::{OutlierSettings, Verdict, outlier::upper_bound};
+use spandrel_filter::{FadingFactor, OutlierSettings, Verdict, outlier::upper_bound};
 
 const FILE: &str = include_str!("../../../../docs/examples/fourteen-bay-truss.toml");
 const GROUPS: usize = 6;
-const RESPONSES: [&str; 4] = ["8-x", "8-y", "15-x", "15-y"];
+const RESPONSES: [&str; 4] = ["node-8-x", "node-8-y", "node-15-x", "node-15-y"];
 /// Errors count from here on (s).
 const COUNTED_FROM_S: f64 = 10.0;
 
@@ -67,6 +67,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         }
         settings.prior_mean.rows_mut(first, GROUPS + 2).copy_from_slice(&start);
         settings.annealing = None;
+        settings.fading = FadingFactor::from_half_life(2000.0).map_err(ValidateError::setting)?;
         settings.variance_bound.fill(f64::INFINITY);
         settings.lower.rows_mut(first, GROUPS).fill(0.05);
         settings.upper.rows_mut(first, GROUPS).fill(10.0);

@@ -3,8 +3,8 @@
 use crate::error::ValidateError;
 use crate::run::Run;
 use crate::statistics::Normal;
+use crate::systems::bouc_wen::{BoucWenChain, BoucWenModel, SHAPE_PARAMETERS};
 use spandrel_filter::ProcessModel;
-use spandrel_structure::{BoucWenChain, BoucWenModel, SHAPE_PARAMETERS};
 
 /// What happens to a chain.
 pub(crate) struct Events<'e> {

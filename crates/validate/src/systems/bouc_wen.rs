@@ -1,4 +1,6 @@
-//! A chain of masses whose springs yield: the Bouc–Wen system.
+//! A chain of masses whose springs yield: the Bouc–Wen system as the source prints it, `r` driven by the velocity of its mass.
+//!
+//! A second route beside the kind `bouc-wen` of the structure file, written for the chains of the examples only.
 //!
 //! Huang & Yuen (2023), §2.4.3: `M ẍ + C ẋ + F(r) = T f` (2.87), `ṙ = u − μ|u||r|^(η−1) r − κ u |r|^η` (2.88). Nothing
 //! depends on the displacements, which no sensor of velocities could know; they are left out of the state
@@ -11,45 +13,34 @@ use spandrel_filter::{ObservationModel, ProcessModel};
 const TINY: f64 = 1e-12;
 
 /// Parameters behind the stiffness groups: `α`, `β`, `μ`, `κ`, `η`.
-pub const SHAPE_PARAMETERS: usize = 5;
-
-/// What drives a hysteretic displacement `r_n`, and what force it gives.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum HysteresisDrive {
-    /// The velocity of mass `n`; the forces are `K r` with the chain's stiffness matrix, as printed in the source.
-    Mass,
-    /// The velocity of the drift of storey `n`; its force is `k_n r_n`, as in a device between two floors.
-    Drift,
-}
+pub(crate) const SHAPE_PARAMETERS: usize = 5;
 
 /// Describes a chain that is fixed below and free above, from the bottom up.
 #[derive(Debug, Clone, PartialEq)]
-pub struct BoucWenChain {
+pub(crate) struct BoucWenChain {
     /// Mass of each degree of freedom (kg).
-    pub masses_kg: Vec<f64>,
+    pub(crate) masses_kg: Vec<f64>,
     /// Stiffness of each spring (N/m).
-    pub stiffnesses_n_per_m: Vec<f64>,
+    pub(crate) stiffnesses_n_per_m: Vec<f64>,
     /// Springs (from 0) of each stiffness parameter; every spring belongs to one.
-    pub groups: Vec<Vec<usize>>,
+    pub(crate) groups: Vec<Vec<usize>>,
     /// `α` (1/s) of Rayleigh damping.
-    pub alpha_per_s: f64,
+    pub(crate) alpha_per_s: f64,
     /// `β` (s) of Rayleigh damping.
-    pub beta_s: f64,
+    pub(crate) beta_s: f64,
     /// `μ` (m^−η).
-    pub mu: f64,
+    pub(crate) mu: f64,
     /// `κ` (m^−η).
-    pub kappa: f64,
+    pub(crate) kappa: f64,
     /// `η`.
-    pub eta: f64,
-    /// What drives the hysteresis.
-    pub drive: HysteresisDrive,
+    pub(crate) eta: f64,
     /// Degrees of freedom (from 0) whose velocities relative to the ground are observed.
-    pub sensed: Vec<usize>,
+    pub(crate) sensed: Vec<usize>,
 }
 
 /// Both traits of `spandrel-filter` for a [`BoucWenChain`] under ground acceleration.
 #[derive(Debug, Clone)]
-pub struct BoucWenModel {
+pub(crate) struct BoucWenModel {
     chain: BoucWenChain,
     group_of: Vec<usize>,
     state: Vec<f64>,
@@ -80,7 +71,7 @@ impl BoucWenModel {
     /// Makes the model; `None` unless there is one spring for each mass, each in exactly one group, and the sensed degrees
     /// of freedom exist.
     #[must_use]
-    pub fn new(chain: BoucWenChain) -> Option<Self> {
+    pub(crate) fn new(chain: BoucWenChain) -> Option<Self> {
         let masses = chain.masses_kg.len();
         let mut group_of = vec![usize::MAX; masses];
         for (group, springs) in chain.groups.iter().enumerate() {
@@ -108,12 +99,6 @@ impl BoucWenModel {
         })
     }
 
-    /// Returns the description.
-    #[must_use]
-    pub fn chain(&self) -> &BoucWenChain {
-        &self.chain
-    }
-
     fn masses(&self) -> usize {
         self.chain.masses_kg.len()
     }
@@ -131,26 +116,10 @@ impl BoucWenModel {
         theta[self.group_of[j]] * self.chain.stiffnesses_n_per_m[j] * (s[j] - below)
     }
 
-    /// Hysteretic force of spring `j`.
-    fn by_hysteresis(&self, theta: &[f64], r: &[f64], j: usize) -> f64 {
-        match self.chain.drive {
-            HysteresisDrive::Mass => self.by_drift(theta, r, j),
-            HysteresisDrive::Drift => theta[self.group_of[j]] * self.chain.stiffnesses_n_per_m[j] * r[j],
-        }
-    }
-
     /// `−F/m` on mass `i` of spring forces that a function gives.
     fn acceleration(&self, i: usize, force: impl Fn(usize) -> f64) -> f64 {
         let above = if i + 1 < self.masses() { force(i + 1) } else { 0.0 };
         (above - force(i)) / self.chain.masses_kg[i]
-    }
-
-    /// What drives `r` of mass `i`.
-    fn drive(&self, v: &[f64], i: usize) -> f64 {
-        match self.chain.drive {
-            HysteresisDrive::Mass => v[i],
-            HysteresisDrive::Drift => v[i] - if i > 0 { v[i - 1] } else { 0.0 },
-        }
     }
 }
 
@@ -174,7 +143,7 @@ impl ProcessModel for BoucWenModel {
             let Parts { v, r, shape, .. } = self.parts(&self.state);
             let BoucWenChain { mu, kappa, eta, .. } = self.chain;
             let (mu_now, kappa_now, eta_now) = (mu * shape[2], kappa * shape[3], eta * shape[4]);
-            let (u, r) = (self.drive(v, i), r[i]);
+            let (u, r) = (v[i], r[i]);
             let (strength, weaker) = (power(r, eta_now), power(r, eta_now - 1.0));
             let (su, sr) = (sign(u), sign(r));
             let logarithm = if r.abs() < TINY { 0.0 } else { strength * r.abs().ln() };
@@ -194,9 +163,9 @@ impl ProcessModel for BoucWenModel {
         let BoucWenChain { alpha_per_s, beta_s, mu, kappa, eta, .. } = self.chain;
         out.fill(0.0);
         for i in 0..masses {
-            let force = |j| self.by_hysteresis(theta, r, j) + shape[1] * beta_s * self.by_drift(theta, v, j);
+            let force = |j| self.by_drift(theta, r, j) + shape[1] * beta_s * self.by_drift(theta, v, j);
             out[i] = self.acceleration(i, force) - shape[0] * alpha_per_s * v[i] - self.ground;
-            let (u, strength) = (self.drive(v, i), power(r[i], shape[4] * eta));
+            let (u, strength) = (v[i], power(r[i], shape[4] * eta));
             out[masses + i] = u - (shape[2] * mu * u.abs() * sign(r[i]) + shape[3] * kappa * u) * strength;
         }
     }
@@ -211,8 +180,8 @@ impl ProcessModel for BoucWenModel {
             let along = self.parts(column);
             for i in 0..masses {
                 let force = |j| {
-                    self.by_hysteresis(theta, along.r, j)
-                        + self.by_hysteresis(along.theta, r, j)
+                    self.by_drift(theta, along.r, j)
+                        + self.by_drift(along.theta, r, j)
                         + shape[1] * beta_s * (self.by_drift(theta, along.v, j) + self.by_drift(along.theta, v, j))
                         + along.shape[1] * beta_s * self.by_drift(theta, v, j)
                 };
@@ -220,7 +189,7 @@ impl ProcessModel for BoucWenModel {
                     - shape[0] * alpha_per_s * along.v[i]
                     - along.shape[0] * alpha_per_s * v[i];
                 let [by_drive, by_r, by_mu, by_kappa, by_eta] = self.slopes[i];
-                out[masses + i] = by_drive * self.drive(along.v, i)
+                out[masses + i] = by_drive * along.v[i]
                     + by_r * along.r[i]
                     + by_mu * along.shape[2]
                     + by_kappa * along.shape[3]
@@ -282,7 +251,7 @@ impl ObservationModel for BoucWenModel {
 mod tests {
     use super::*;
 
-    fn model(drive: HysteresisDrive) -> BoucWenModel {
+    fn model() -> BoucWenModel {
         BoucWenModel::new(BoucWenChain {
             masses_kg: vec![1.0, 1.2, 0.8],
             stiffnesses_n_per_m: vec![2000.0, 1800.0, 2100.0],
@@ -292,7 +261,6 @@ mod tests {
             mu: 1000.0,
             kappa: 1500.0,
             eta: 2.0,
-            drive,
             sensed: vec![0, 2],
         })
         .unwrap()
@@ -300,8 +268,8 @@ mod tests {
 
     #[test]
     fn jacobian_is_that_of_central_differences() {
-        for drive in [HysteresisDrive::Mass, HysteresisDrive::Drift] {
-            let mut model = model(drive);
+        {
+            let mut model = model();
             let n = model.state_len();
             let state: Vec<f64> = vec![0.2, -0.3, 0.15, 0.01, -0.015, 0.012, 0.9, 1.1, 1.2, 0.8, 1.05, 0.95, 1.1];
             assert_eq!(state.len(), n);
@@ -325,7 +293,7 @@ mod tests {
                 for i in 0..n {
                     let expected = (up[i] - down[i]) / (2.0 * h);
                     let scale = 1.0 + expected.abs();
-                    assert!((jacobian[(i, j)] - expected).abs() < 1e-5 * scale, "{drive:?} ({i}, {j})");
+                    assert!((jacobian[(i, j)] - expected).abs() < 1e-5 * scale, "({i}, {j})");
                 }
             }
         }
@@ -333,7 +301,7 @@ mod tests {
 
     #[test]
     fn springs_belong_to_exactly_one_group() {
-        let chain = model(HysteresisDrive::Mass).chain().clone();
+        let chain = model().chain;
         for groups in [vec![vec![0], vec![1]], vec![vec![0, 1], vec![1, 2]], vec![vec![0, 1, 2, 3]]] {
             assert!(BoucWenModel::new(BoucWenChain { groups, ..chain.clone() }).is_none());
         }
@@ -342,7 +310,7 @@ mod tests {
 
     #[test]
     fn rates_are_below_their_bound() {
-        let mut model = model(HysteresisDrive::Mass);
+        let mut model = model();
         let n = model.state_len();
         let mut state = vec![0.1; n];
         state[3..6].fill(0.005);

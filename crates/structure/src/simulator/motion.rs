@@ -1,0 +1,176 @@
+//! How a simulated structure moves from one frame to the next, and what its sensors see.
+
+use crate::linear_form::{LinearForm, Recursion};
+use crate::model::StructureModel;
+use nalgebra::{DMatrix, DVector};
+use spandrel_filter::{InputHold, ObservationModel, ProcessModel};
+
+/// Hysteretic springs are followed in substeps of at most this share of the fastest rate at rest: a step of Runge-Kutta
+/// is then off by less than 10⁻⁷ of the state, far below any noise.
+const RATE_TIMES_SUBSTEP: f64 = 0.1;
+
+/// What the springs are taken as.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Amplitude {
+    /// As they are.
+    Any,
+    /// Linear, as for small motions.
+    Small,
+}
+
+/// A structure on the way from frame to frame.
+#[derive(Debug, Clone)]
+pub(super) struct Motion {
+    model: StructureModel,
+    step_s: f64,
+    hold: InputHold,
+    rule: Rule,
+    /// `u` (2 N_d)
+    state: DVector<f64>,
+    next_state: DVector<f64>,
+}
+
+#[derive(Debug, Clone)]
+enum Rule {
+    /// The exact recursion of a linear structure, `z = H u + D f`.
+    Exact { recursion: Recursion, observation: DMatrix<f64>, direct: DMatrix<f64> },
+    /// The fourth-order method of Runge and Kutta.
+    RungeKutta(Stages),
+}
+
+/// Scratch of the method; a `point` is a state with its parameters.
+#[derive(Debug, Clone)]
+struct Stages {
+    theta: Vec<f64>,
+    substeps: usize,
+    point: Vec<f64>,
+    slope: Vec<f64>,
+    sum: DVector<f64>,
+    excitation: Vec<f64>,
+}
+
+impl Motion {
+    /// Starts at rest with parameters `theta` (ratios to nominal).
+    pub(super) fn new(
+        mut model: StructureModel,
+        theta: &[f64],
+        step_s: f64,
+        hold: InputHold,
+        amplitude: Amplitude,
+    ) -> Self {
+        let physical = model.state_len() - model.parameter_len();
+        let rule = if model.is_hysteretic() && amplitude == Amplitude::Any {
+            Rule::RungeKutta(Stages::new(&mut model, theta, step_s))
+        } else {
+            exact(&mut model, theta, step_s, hold)
+        };
+        Self { model, step_s, hold, rule, state: DVector::zeros(physical), next_state: DVector::zeros(physical) }
+    }
+
+    /// Returns `u` (2 N_d).
+    pub(super) fn state(&self) -> &[f64] {
+        self.state.as_slice()
+    }
+
+    /// Changes the parameters from now on.
+    pub(super) fn set_parameters(&mut self, theta: &[f64]) {
+        match &mut self.rule {
+            Rule::Exact { .. } => self.rule = exact(&mut self.model, theta, self.step_s, self.hold),
+            Rule::RungeKutta(stages) => stages.theta.copy_from_slice(theta),
+        }
+    }
+
+    /// Writes `z` (N_0) of this instant under `excitation` (N_f).
+    pub(super) fn respond(&mut self, excitation: &DVector<f64>, response: &mut DVector<f64>) {
+        match &mut self.rule {
+            Rule::Exact { observation, direct, .. } => {
+                response.gemv(1.0, observation, &self.state, 0.0); // z = H u + D f
+                response.gemv(1.0, direct, excitation, 1.0);
+            }
+            Rule::RungeKutta(stages) => {
+                stages.set_point(&self.state, 0.0);
+                self.model.linearise_observation(&stages.point, excitation.as_slice());
+                self.model.observe(response.as_mut_slice());
+            }
+        }
+    }
+
+    /// Moves by one step, from `excitation` to `next` (N_f).
+    pub(super) fn advance(&mut self, excitation: &DVector<f64>, next: &DVector<f64>) {
+        match &mut self.rule {
+            Rule::Exact { recursion: Recursion { transition, input, slope }, .. } => {
+                self.next_state.gemv(1.0, transition, &self.state, 0.0); // A u                 (2.7)
+                self.next_state.gemv(1.0, input, excitation, 1.0); // + B f_i
+                if self.hold == InputHold::First {
+                    self.next_state.gemv(1.0, slope, next, 1.0); // + B₁ (f_{i+1} − f_i)
+                    self.next_state.gemv(-1.0, slope, excitation, 1.0);
+                }
+                std::mem::swap(&mut self.state, &mut self.next_state);
+            }
+            Rule::RungeKutta(stages) => {
+                let to = match self.hold {
+                    InputHold::Zero => excitation,
+                    InputHold::First => next,
+                };
+                for substep in 0..stages.substeps {
+                    stages.advance(&mut self.model, &mut self.state, self.step_s, substep, [excitation, to]);
+                }
+            }
+        }
+    }
+}
+
+fn exact(model: &mut StructureModel, theta: &[f64], step_s: f64, hold: InputHold) -> Rule {
+    let form = LinearForm::new(model, theta);
+    Rule::Exact { recursion: form.recursion(step_s, hold), observation: form.observation, direct: form.direct }
+}
+
+impl Stages {
+    fn new(model: &mut StructureModel, theta: &[f64], step_s: f64) -> Self {
+        let (len, inputs) = (model.state_len(), model.excitation_len());
+        let physical = len - model.parameter_len();
+        let mut point = vec![0.0; len];
+        point[physical..].copy_from_slice(theta);
+        let excitation = vec![0.0; inputs];
+        model.linearise_process(&point, &excitation);
+        let substeps = (model.rate_bound() * step_s / RATE_TIMES_SUBSTEP).ceil().clamp(1.0, 1e4) as usize;
+        let (slope, sum) = (vec![0.0; len], DVector::zeros(physical));
+        Self { theta: theta.to_vec(), substeps, point, slope, sum, excitation }
+    }
+
+    /// Sets the point to `state` plus `by` (s) times the last slope.
+    fn set_point(&mut self, state: &DVector<f64>, by: f64) {
+        let physical = state.len();
+        for ((entry, u), slope) in self.point.iter_mut().zip(state).zip(&self.slope) {
+            *entry = u + by * slope;
+        }
+        self.point[physical..].copy_from_slice(&self.theta);
+    }
+
+    /// Moves `state` by one of the substeps of a step, over which the excitation runs straight.
+    fn advance(
+        &mut self,
+        model: &mut StructureModel,
+        state: &mut DVector<f64>,
+        step_s: f64,
+        substep: usize,
+        [from, to]: [&DVector<f64>; 2],
+    ) {
+        let h = step_s / self.substeps as f64;
+        self.sum.fill(0.0);
+        // how far each stage looks ahead, and what it counts
+        for (ahead, weight) in [(0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)] {
+            self.set_point(state, ahead * h);
+            let progress = (substep as f64 + ahead) / self.substeps as f64;
+            for ((entry, from), to) in self.excitation.iter_mut().zip(from).zip(to) {
+                *entry = from + progress * (to - from);
+            }
+            model.linearise_process(&self.point, &self.excitation);
+            model.derivative(&mut self.slope);
+            for (sum, slope) in self.sum.iter_mut().zip(&self.slope) {
+                *sum += weight * slope;
+            }
+        }
+        state.axpy(h / 6.0, &self.sum, 1.0);
+    }
+}
