@@ -10,6 +10,7 @@ mod ekf_oscillator;
 mod kalman_building;
 mod kalman_vehicle;
 mod noise_bouc_wen;
+mod noise_bridge;
 mod noise_chain;
 mod outlier_oscillator;
 mod outlier_truss;
@@ -32,7 +33,7 @@ const BOOK_2: &str = "Huang & Yuen (2023), chapter 2";
 const BOOK_3: &str = "Huang & Yuen (2023), chapter 3";
 const BOOK_4: &str = "Huang & Yuen (2023), chapter 4";
 
-static CASES: [Case; 11] = [
+static CASES: [Case; 13] = [
     Case {
         name: "kalman.vehicle",
         title: "Tracking of a vehicle with the Kalman filter",
@@ -95,6 +96,20 @@ static CASES: [Case; 11] = [
         source: BOOK_3,
         weight: 12.0,
         run: noise_bouc_wen::both_swell,
+    },
+    Case {
+        name: "noise-ekf.bridge.1",
+        title: "Three-pier bridge, noise levels identified: horizontal ground motion swells",
+        source: BOOK_3,
+        weight: 400.0,
+        run: noise_bridge::horizontal,
+    },
+    Case {
+        name: "noise-ekf.bridge.2",
+        title: "Three-pier bridge, noise levels identified: vertical ground motion swells",
+        source: BOOK_3,
+        weight: 400.0,
+        run: noise_bridge::both,
     },
     Case {
         name: "outlier.oscillator",

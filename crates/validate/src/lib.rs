@@ -23,6 +23,7 @@ mod run;
 mod scene;
 mod statistics;
 mod systems;
+mod tracking;
 
 pub use cases::{Case, cases, select};
 pub use error::ValidateError;

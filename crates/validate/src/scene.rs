@@ -48,13 +48,18 @@ pub(crate) fn states_of(structure: &Structure, names: &[&str], velocities: bool)
 impl Scene {
     /// Simulates the structure without noise, then adds noise in proportion to what each channel shows.
     pub(crate) fn simulate(plan: &Plan<'_>, run: &Run<'_>) -> Result<Self, ValidateError> {
+        Self::simulate_seeded(plan, run.seed, run)
+    }
+
+    /// As [`Scene::simulate`], with another seed than the run's.
+    pub(crate) fn simulate_seeded(plan: &Plan<'_>, seed: u64, run: &Run<'_>) -> Result<Self, ValidateError> {
         let structure = Structure::parse(plan.text, Path::new("example.toml"))?;
         let step_s = structure.step_s();
         let frames = (plan.seconds / step_s).round() as usize;
         let rows = structure.observation_channels().to_vec();
         let watched = (plan.watched)(&structure);
         let (mut clean, mut states) = (Vec::with_capacity(frames * rows.len()), Vec::new());
-        let mut simulator = structure.clean_simulator(run.seed);
+        let mut simulator = structure.clean_simulator(seed);
         for frame in 0..frames {
             states.extend(watched.iter().map(|state| simulator.state()[*state]));
             let Some(values) = simulator.next() else { break };
@@ -66,7 +71,7 @@ impl Scene {
         let channels = rows.len();
         let noise_std: Vec<f64> =
             (0..channels).map(|c| plan.noise_share * rms(clean.iter().skip(c).step_by(channels).copied())).collect();
-        let mut noise = Normal::stream(run.seed, 7);
+        let mut noise = Normal::stream(seed, 7);
         let data = clean.iter().enumerate().map(|(i, value)| value + noise_std[i % channels] * noise.draw()).collect();
         Ok(Self { structure, step_s, frames, noise_std, clean, data, states, watched })
     }
