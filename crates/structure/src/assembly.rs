@@ -149,6 +149,28 @@ impl Assembly {
         }
     }
 
+    /// Writes `X u` for several columns `u` (N_d) at once, with the same bits as one by one.
+    pub(crate) fn mul_columns_to<const C: usize>(
+        &self,
+        values: &[f64],
+        u: &[&mut [f64]; C],
+        out: &mut [&mut [f64]; C],
+    ) {
+        let mut start = 0;
+        for (row, end) in self.row_starts[1..].iter().enumerate() {
+            let mut sums = [0.0; C];
+            for (value, column) in values[start..*end].iter().zip(&self.columns[start..*end]) {
+                for (sum, u) in sums.iter_mut().zip(u) {
+                    *sum += value * u[*column];
+                }
+            }
+            for (out, sum) in out.iter_mut().zip(sums) {
+                out[row] = sum;
+            }
+            start = *end;
+        }
+    }
+
     /// Adds `X u` for a matrix by its values and a vector `u` (N_d).
     pub(crate) fn mul_add_to(&self, values: &[f64], u: &[f64], out: &mut [f64]) {
         let mut start = 0;

@@ -66,18 +66,29 @@ impl SparseCholesky {
 
     /// Replaces `b` (n) by `A⁻¹ b`.
     pub(crate) fn solve_mut(&self, b: &mut [f64]) {
+        self.solve_columns_mut(&mut [b]);
+    }
+
+    /// Replaces each of several columns `b` (n) by `A⁻¹ b`, with the same bits as one by one.
+    pub(crate) fn solve_columns_mut<const C: usize>(&self, columns: &mut [&mut [f64]; C]) {
         for (step, row) in self.order.iter().enumerate() {
-            let solved = b[*row];
+            let solved: [f64; C] = std::array::from_fn(|c| columns[c][*row]);
             for (below, value) in self.column(step) {
-                b[*below] -= value * solved;
+                for (b, solved) in columns.iter_mut().zip(solved) {
+                    b[*below] -= value * solved;
+                }
             }
         }
         for (step, row) in self.order.iter().enumerate().rev() {
-            let mut entry = b[*row] * self.reciprocal_pivots[step];
+            let mut entries: [f64; C] = std::array::from_fn(|c| columns[c][*row] * self.reciprocal_pivots[step]);
             for (below, value) in self.column(step) {
-                entry -= value * b[*below];
+                for (entry, b) in entries.iter_mut().zip(columns.iter()) {
+                    *entry -= value * b[*below];
+                }
             }
-            b[*row] = entry;
+            for (b, entry) in columns.iter_mut().zip(entries) {
+                b[*row] = entry;
+            }
         }
     }
 

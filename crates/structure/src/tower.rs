@@ -37,7 +37,7 @@ pub(crate) struct Segment {
 }
 
 /// Returns the tower of `segments` from the foot up, fixed below; `None` if its mass is not positive definite.
-pub(crate) fn system(segments: &[Segment]) -> Option<LinearSystem> {
+pub(crate) fn system(segments: &[Segment], form: MassForm) -> Option<LinearSystem> {
     let beams: usize = segments.iter().map(|segment| segment.elements).sum();
     let names: Vec<String> = (0..=beams).map(|node| node.to_string()).collect();
     let freedoms = Freedoms::new(names.iter().map(String::as_str), DIRECTIONS, |node, _| node == 0);
@@ -53,13 +53,17 @@ pub(crate) fn system(segments: &[Segment]) -> Option<LinearSystem> {
             let ends = [below, below + 1];
             let (along_x, along_y) = ([0, 3, 5, 8], [1, 2, 6, 7]);
             for (way, bending, dofs, turn) in [(0, bending_x, along_x, 1.0), (1, bending_y, along_y, -1.0)] {
-                let (stiffness, mass) = beam_matrices(bending, segment.mass_kg_per_m, length, turn);
+                let (stiffness, mass) = beam_matrices(bending, segment.mass_kg_per_m, length, turn, form);
                 elements.add_stiffness(3 * index + way, ends, &placed(&stiffness, &dofs));
                 elements.add_mass(ends, &placed(&mass, &dofs));
             }
             let twist = DMatrix::from_row_slice(2, 2, &[1.0, -1.0, -1.0, 1.0]) * (torsion / length);
+            let shares = match form {
+                MassForm::Consistent => [2.0, 1.0, 1.0, 2.0],
+                MassForm::Lumped => [3.0, 0.0, 0.0, 3.0],
+            };
             let inertia = segment.mass_kg_per_m * segment.gyration_m2 * length / 6.0;
-            let turned = DMatrix::from_row_slice(2, 2, &[2.0, 1.0, 1.0, 2.0]) * inertia;
+            let turned = DMatrix::from_row_slice(2, 2, &shares) * inertia;
             elements.add_stiffness(3 * index + 2, ends, &placed(&twist, &[4, 9]));
             elements.add_mass(ends, &placed(&turned, &[4, 9]));
             below += 1;
@@ -68,9 +72,15 @@ pub(crate) fn system(segments: &[Segment]) -> Option<LinearSystem> {
     elements.finish()
 }
 
-/// Returns stiffness and consistent mass of bending in one plane (4 × 4): deflection and rotation of the lower end, then of
+/// Returns stiffness and mass of bending in one plane (4 × 4): deflection and rotation of the lower end, then of
 /// the upper one; `turn` is the sense of the rotation.
-fn beam_matrices(bending_n_m2: f64, mass_kg_per_m: f64, length: f64, turn: f64) -> (DMatrix<f64>, DMatrix<f64>) {
+fn beam_matrices(
+    bending_n_m2: f64,
+    mass_kg_per_m: f64,
+    length: f64,
+    turn: f64,
+    form: MassForm,
+) -> (DMatrix<f64>, DMatrix<f64>) {
     // the beam of a frame, of unit modulus and area
     let section = MemberSection {
         area_m2: 1.0,
@@ -78,7 +88,7 @@ fn beam_matrices(bending_n_m2: f64, mass_kg_per_m: f64, length: f64, turn: f64) 
         modulus_pa: 1.0,
         density_kg_per_m3: mass_kg_per_m,
     };
-    let beam = frame::element(&section, Vector3::new(length, 0.0, 0.0), MassForm::Consistent);
+    let beam = frame::element(&section, Vector3::new(length, 0.0, 0.0), form);
     let across = |matrix: &DMatrix<f64>| {
         let sense = |dof: usize| if dof % 2 == 1 { turn } else { 1.0 };
         let of_beam = [1, 2, 4, 5];
@@ -134,7 +144,7 @@ mod tests {
     /// Cantilevers bend at `(1.8751/L)² √(EI/m)` and twist at `π/2L √(GJ/m r²)`.
     #[test]
     fn a_uniform_tower_is_two_cantilevers_and_a_shaft() {
-        let system = system(&[uniform(12)]).unwrap();
+        let system = system(&[uniform(12)], MassForm::Consistent).unwrap();
         let modes = Modes::of(&system, &[1.0; 3]).unwrap();
         let bending = |ei: f64| (1.875_104_f64 / 50.0).powi(2) * (ei / 3000.0).sqrt();
         for expected in [bending(1e10), bending(4e10), PI / 100.0 * (2e10_f64 / 6000.0).sqrt()] {
@@ -144,10 +154,22 @@ mod tests {
         }
     }
 
+    /// What stands above the middle of the lowest beam: of two beams, three quarters of the mass.
+    #[test]
+    fn lumped_masses_are_shared_by_the_ends_of_each_beam() {
+        let system = system(&[uniform(2)], MassForm::Lumped).unwrap();
+        let crate::linear_system::Mass::Lumped(masses) = &system.mass else { panic!("not lumped") };
+        let whole = 3000.0 * 50.0;
+        for (direction, share) in [(0, whole), (1, whole), (4, whole * 2.0)] {
+            let sum = masses[direction] + masses[5 + direction];
+            assert!((sum - 0.75 * share).abs() < 1e-9 * share, "{direction}: {sum}");
+        }
+    }
+
     /// Each substructure moves what its name says and nothing else.
     #[test]
     fn ways_of_bending_are_apart() {
-        let system = system(&[uniform(2)]).unwrap();
+        let system = system(&[uniform(2)], MassForm::Consistent).unwrap();
         for (part, moved) in system.substructures.iter().zip([["x", "ry"], ["y", "rx"], ["rz", "rz"]]) {
             for (row, _, value) in part.stiffness.triplet_iter().filter(|(_, _, value)| **value != 0.0) {
                 let name = &system.degrees_of_freedom[row];
@@ -159,7 +181,7 @@ mod tests {
     /// `x` and `ry` rise together, `y` and `rx` do not: the deflection under a force at the top, by sign.
     #[test]
     fn rotations_are_right_handed() {
-        let system = system(&[uniform(1)]).unwrap();
+        let system = system(&[uniform(1)], MassForm::Consistent).unwrap();
         let force = nalgebra::DVector::from_column_slice(&[1.0, 1.0, 0.0, 0.0, 0.0]);
         let bent = system.nominal_stiffness().cholesky().unwrap().solve(&force);
         let [x, y, rx, ry, rz] = bent.as_slice() else { panic!("five degrees of freedom") };

@@ -101,6 +101,14 @@ fn the_hysteretic_chain_of_five_is_identified() {
     assert_identified(&filter, &[1.0; 10], 0.2);
 }
 
+/// The same with devices that answer to the drift between two floors.
+#[test]
+fn springs_that_are_driven_by_their_drift_are_identified() {
+    let text = example("bouc-wen-five.toml").text().replace("drive = \"floor\"", "drive = \"drift\"");
+    let chain = Structure::parse(&text, Path::new("chain.toml")).unwrap_or_else(|error| panic!("{error}"));
+    assert_identified(&run_from(&chain, 0.2, 40.0, 1), &[1.0; 10], 0.2);
+}
+
 #[test]
 fn the_hysteretic_oscillator_is_identified() {
     let filter = run_from(&example("hysteretic-oscillator.toml"), 0.1, 200.0, 1);

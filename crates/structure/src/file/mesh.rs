@@ -16,7 +16,8 @@ pub(super) enum MeshKind {
     Truss,
 }
 
-const MASS_FORMS: [(&str, MassForm); 2] = [("consistent", MassForm::Consistent), ("lumped", MassForm::Lumped)];
+pub(super) const MASS_FORMS: [(&str, MassForm); 2] =
+    [("consistent", MassForm::Consistent), ("lumped", MassForm::Lumped)];
 
 impl MeshKind {
     /// What is usual: beams by their shape functions, bars by halves.

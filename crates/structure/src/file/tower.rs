@@ -1,8 +1,9 @@
 //! Reads the kind `tower` of `[model]`: segments from the foot up.
 
 use super::check_unique;
-use super::mesh::check_held;
+use super::mesh::{MASS_FORMS, check_held};
 use crate::linear_system::{LARGEST_MODEL, LinearSystem};
+use crate::mesh::MassForm;
 use crate::section::{Allowed, Section};
 use crate::tower::{self, Segment};
 use toml::Spanned;
@@ -11,6 +12,7 @@ use toml::Spanned;
 const PER_ELEMENT: usize = 5;
 
 pub(super) fn read_tower(section: &mut Section<'_>) -> Option<LinearSystem> {
+    let mass = section.choice("mass", &MASS_FORMS).map_or(MassForm::Consistent, Spanned::into_inner);
     let tables = section.tables("segment");
     if tables.is_empty() {
         section.require("segment", "must list the segments from the foot up: [[model.segment]]", None::<()>);
@@ -29,7 +31,7 @@ pub(super) fn read_tower(section: &mut Section<'_>) -> Option<LinearSystem> {
         section.diagnostics().report(section.span(), section.key("segment"), found, allowed);
         return None;
     }
-    check_held(section, tower::system(&segments))
+    check_held(section, tower::system(&segments, mass))
 }
 
 fn read_segment(mut section: Section<'_>) -> Option<(Spanned<String>, Segment)> {

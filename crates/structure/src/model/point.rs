@@ -5,6 +5,9 @@ use crate::hysteresis::{Drive, Slopes};
 use crate::parameter::Scales;
 use nalgebra::DMatrix;
 
+/// Columns that are multiplied together: the sums of one do not wait for those of another.
+const BLOCK: usize = 4;
+
 /// The structure linearised at one state; everything is rewritten in place.
 #[derive(Debug, Clone)]
 pub(super) struct Point {
@@ -225,27 +228,54 @@ impl Point {
 
     /// Writes `A_y X` (n × c), equation (2.50).
     pub(super) fn jacobian_mul(&self, fixed: &Fixed, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
-        let free = self.velocity.len();
         let len = columns.nrows();
-        for (column, out) in columns.as_slice().chunks_exact(len).zip(out.as_mut_slice().chunks_exact_mut(len)) {
-            let (x, rest) = column.split_at(free);
-            let (v, theta) = rest.split_at(free);
-            let (out_x, rest) = out.split_at_mut(free);
-            let (out_v, out_theta) = rest.split_at_mut(free);
-            // the rows of x lend their place to x + β w
-            fixed.drive_to(v, out_x);
+        let whole = columns.ncols() / BLOCK * BLOCK * len;
+        let (blocks, rest) = columns.as_slice().split_at(whole);
+        let (out_blocks, out_rest) = out.as_mut_slice().split_at_mut(whole);
+        for (block, out) in blocks.chunks_exact(BLOCK * len).zip(out_blocks.chunks_exact_mut(BLOCK * len)) {
+            self.jacobian_mul_block::<BLOCK>(fixed, block, out);
+        }
+        for (column, out) in rest.chunks_exact(len).zip(out_rest.chunks_exact_mut(len)) {
+            self.jacobian_mul_block::<1>(fixed, column, out);
+        }
+    }
+
+    /// Does so for `C` columns, one after the other in both slices.
+    fn jacobian_mul_block<const C: usize>(&self, fixed: &Fixed, columns: &[f64], out: &mut [f64]) {
+        let (free, len) = (self.velocity.len(), columns.len() / C);
+        let mut in_columns = columns.chunks_exact(len);
+        let columns: [&[f64]; C] = std::array::from_fn(|_| in_columns.next().unwrap_or_default());
+        let mut out_columns = out.chunks_exact_mut(len).map(|out| out.split_at_mut(free));
+        let (mut out_x, mut out_v): ([&mut [f64]; C], [&mut [f64]; C]) = (empty(), empty());
+        for (out_x, out_v) in out_x.iter_mut().zip(&mut out_v) {
+            let Some((x, rest)) = out_columns.next() else { continue };
+            let (v, out_theta) = rest.split_at_mut(free);
+            out_theta.fill(0.0);
+            (*out_x, *out_v) = (x, v);
+        }
+        // the rows of x lend their place to x + β w
+        for (column, out_x) in columns.iter().zip(&mut out_x) {
+            let (x, v) = column.split_at(free);
+            fixed.drive_to(&v[..free], out_x);
             for (s, x) in out_x.iter_mut().zip(x) {
                 *s = x + self.beta_s * *s;
             }
-            fixed.assembly.mul_to(&self.stiffness, out_x, out_v); // K (X + β W)
+        }
+        fixed.assembly.mul_columns_to(&self.stiffness, &out_x, &mut out_v); // K (X + β W)
+        for ((column, out_x), out_v) in columns.iter().zip(&mut out_x).zip(&mut out_v) {
+            let (x, rest) = column.split_at(free);
+            let (v, theta) = rest.split_at(free);
             if !self.damping.is_empty() {
                 fixed.assembly.mul_add_to(&self.damping, v, out_v); // + C V
             }
             fixed.drive_to(v, out_x);
             self.differentiate_rate(x, theta, out_x);
-            if let Some(factor) = &fixed.mass_factor {
-                factor.solve_mut(out_v);
-            }
+        }
+        if let Some(factor) = &fixed.mass_factor {
+            factor.solve_columns_mut(&mut out_v);
+        }
+        for (column, out_v) in columns.iter().zip(&mut out_v) {
+            let (v, theta) = column[free..].split_at(free);
             let by_mass = fixed.reciprocal_masses.iter().zip(&self.mass_factors_inverse);
             for ((entry, v), (reciprocal, factor)) in out_v.iter_mut().zip(v).zip(by_mass) {
                 *entry = -reciprocal * factor * *entry - self.alpha_per_s * v; // −M⁻¹ (…) − α V
@@ -256,9 +286,13 @@ impl Point {
                     *entry += w * theta; // + W Θ
                 }
             }
-            out_theta.fill(0.0);
         }
     }
+}
+
+/// Returns as many empty slices, to be set.
+fn empty<'s, const C: usize>() -> [&'s mut [f64]; C] {
+    std::array::from_fn(|_| Default::default())
 }
 
 impl Fixed {
