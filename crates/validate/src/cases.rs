@@ -12,6 +12,7 @@ mod kalman_vehicle;
 mod noise_bouc_wen;
 mod noise_bridge;
 mod noise_chain;
+mod noise_kalman;
 mod outlier_oscillator;
 mod outlier_truss;
 
@@ -31,9 +32,10 @@ pub struct Case {
 
 const BOOK_2: &str = "Huang & Yuen (2023), chapter 2";
 const BOOK_3: &str = "Huang & Yuen (2023), chapter 3";
+const YUEN_2013: &str = "Yuen, Liang & Kuok (2013)";
 const BOOK_4: &str = "Huang & Yuen (2023), chapter 4";
 
-static CASES: [Case; 13] = [
+static CASES: [Case; 16] = [
     Case {
         name: "kalman.vehicle",
         title: "Tracking of a vehicle with the Kalman filter",
@@ -68,6 +70,27 @@ static CASES: [Case; 13] = [
         source: BOOK_2,
         weight: 30.0,
         run: ekf_bouc_wen::run,
+    },
+    Case {
+        name: "noise-kalman.1",
+        title: "Fifty-storey building, noise levels of the linear filter: ground motion",
+        source: YUEN_2013,
+        weight: 40.0,
+        run: noise_kalman::ground,
+    },
+    Case {
+        name: "noise-kalman.2",
+        title: "Fifty-storey building, noise levels of the linear filter: modulated ground motion",
+        source: YUEN_2013,
+        weight: 40.0,
+        run: noise_kalman::modulated_ground,
+    },
+    Case {
+        name: "noise-kalman.3",
+        title: "Fifty-storey building, noise levels of the linear filter: wind",
+        source: YUEN_2013,
+        weight: 40.0,
+        run: noise_kalman::wind,
     },
     Case {
         name: "noise-ekf.chain",

@@ -33,7 +33,6 @@ pub(crate) struct Accuracy {
     count: f64,
     squared_error: f64,
     absolute_error: f64,
-    largest_error: f64,
     squared_truth: f64,
     squared_ratio: f64,
     inside: f64,
@@ -47,7 +46,6 @@ impl Accuracy {
         self.count += 1.0;
         self.squared_error += error * error;
         self.absolute_error += error;
-        self.largest_error = self.largest_error.max(error);
         self.squared_truth += truth * truth;
         self.squared_ratio += (error / std).powi(2);
         self.inside += f64::from(u8::from(error <= 3.0 * std));
@@ -67,11 +65,6 @@ impl Accuracy {
     /// Mean of the absolute error.
     pub(crate) fn mean_absolute_error(&self) -> f64 {
         self.absolute_error / self.count
-    }
-
-    /// Largest absolute error.
-    pub(crate) fn largest_error(&self) -> f64 {
-        self.largest_error
     }
 
     /// Root mean square of error over stated deviation: 1 when the intervals are right.

@@ -5,3 +5,6 @@ pub(crate) mod chain;
 pub(crate) mod hysteretic;
 pub(crate) mod linear;
 pub(crate) mod oscillator;
+
+#[allow(dead_code, unreachable_pub, reason = "the tests of the filter use the rest")]
+pub(crate) mod tall_building;

@@ -7,6 +7,7 @@ pub mod bridge;
 pub mod drifting_building;
 pub mod hysteretic;
 pub mod numerical_ekf;
+#[path = "../../../validate/src/systems/tall_building.rs"]
 pub mod tall_building;
 
 use nalgebra::{DMatrix, DVector};

@@ -87,6 +87,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let omega = 2.0 * PI * frequencies[mode];
         0.5 * (0.0157 / omega + 0.0048 * omega)
     };
+    // what follows the rms of the record is judged on the whole one only
+    let full = |required: Required| run.pick(required, Required::Reported);
     let mut figures = vec![
         Figure::new("f1 (Hz)", frequencies[0], Required::Within { of: 0.1669, by: 1e-4 }).published(0.1669),
         Figure::new("f2 (Hz)", frequencies[1], Required::Within { of: 0.5007, by: 1e-4 }),
@@ -104,12 +106,12 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Figure::new(
                 format!("floor {floor}: relative error of the velocity after 20 s"),
                 velocity.relative_error(),
-                Required::AtMost(0.10),
+                full(Required::AtMost(0.10)),
             ),
             Figure::new(
                 format!("floor {floor}: rms error of the velocity after 20 s (m/s)"),
                 velocity.rms_error(),
-                Required::Between { low: 2.1e-4, high: 2.8e-4 },
+                full(Required::Between { low: 2.1e-4, high: 2.8e-4 }),
             )
             .judged(Judgement::Mean),
         ]);
@@ -120,7 +122,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         Figure::new(
             "rms of error over deviation, all states",
             rms(accuracy.iter().map(Accuracy::normalised_error)),
-            Required::Between { low: 0.97, high: 1.03 },
+            full(Required::Between { low: 0.97, high: 1.03 }),
         ),
         Figure::new("mean χ² per channel", chi_squared.value(), Required::Within { of: 1.0, by: 0.02 }),
     ]);
@@ -137,12 +139,12 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Figure::new(
                 format!("floor {floor}: steady deviation of the displacement (m)"),
                 accuracy[floor - 1].mean_std(),
-                Required::relative(displacement, 0.05),
+                full(Required::relative(displacement, 0.05)),
             ),
             Figure::new(
                 format!("floor {floor}: steady deviation of the velocity (m/s)"),
                 accuracy[FLOORS + floor - 1].mean_std(),
-                Required::relative(velocity, 0.05),
+                full(Required::relative(velocity, 0.05)),
             ),
         ]);
     }

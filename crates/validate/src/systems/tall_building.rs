@@ -1,6 +1,6 @@
 //! Fifty-storey shear building under ground motion or wind, with its records: Yuen, Liang & Kuok (2013).
 //!
-//! Self-contained. The published outputs are absolute accelerations; turbulence does not reach them directly, the mean wind
+//! Self-contained: the tests of the filter use it too. The published outputs are absolute accelerations; turbulence does not reach them directly, the mean wind
 //! does, which is how the published data must have been generated.
 
 use nalgebra::{DMatrix, DVector};

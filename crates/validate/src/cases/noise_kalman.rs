@@ -1,0 +1,233 @@
+//! Yuen, Liang & Kuok (2013): the levels of the unknown excitation and of the sensors of a fifty-storey building, estimated by
+//! the two-stage rule beside a linear Kalman filter; its states compared with those of filters that are told the levels.
+
+mod published;
+
+use crate::error::ValidateError;
+use crate::figure::{Figure, Judgement, Required};
+use crate::outcome::{Outcome, Table};
+use crate::run::Run;
+use crate::scene::Course;
+use crate::statistics::Mean;
+use crate::systems::tall_building::{
+    self, Case, ErrorStatistics, Levels, Record, STEP_S, TABULATED, Tabulated, held_variance, simulate,
+};
+use crate::tracking::{agreement, lag};
+
+/// Half-life of the levels (steps).
+const HALF_LIFE: f64 = 1000.0;
+/// Trial 2 of the source, from which all published results start.
+const START: [f64; 2] = [10.0, 10.0];
+
+pub(super) fn ground(run: &Run<'_>) -> Result<Outcome, ValidateError> {
+    case(run, Case::Ground)
+}
+
+pub(super) fn modulated_ground(run: &Run<'_>) -> Result<Outcome, ValidateError> {
+    case(run, Case::ModulatedGround)
+}
+
+pub(super) fn wind(run: &Run<'_>) -> Result<Outcome, ValidateError> {
+    case(run, Case::Wind)
+}
+
+/// What one filter made of a record.
+struct Tracked {
+    errors: ErrorStatistics,
+    levels: [Course; 2],
+    training_s: f64,
+    replaced: [u64; 2],
+    limited: u64,
+}
+
+fn track(record: &Record, levels: Levels, from_s: f64, share: f64, run: &Run<'_>) -> Result<Tracked, ValidateError> {
+    let mut filter = tall_building::Run::new(record, levels, HALF_LIFE).map_err(ValidateError::setting)?;
+    let mut tracked = Tracked {
+        errors: ErrorStatistics::default(),
+        levels: Default::default(),
+        training_s: f64::NAN,
+        replaced: [0; 2],
+        limited: 0,
+    };
+    for k in 0..record.data.len() {
+        let time_s = (k + 1) as f64 * STEP_S;
+        let step = filter.step(k).map_err(ValidateError::at(time_s))?;
+        if step.training_ended && tracked.training_s.is_nan() {
+            tracked.training_s = time_s;
+        }
+        if time_s >= from_s {
+            tracked.errors.add(&filter.errors(k));
+            if k % 10 == 0 && matches!(levels, Levels::Online(_)) {
+                let (noise, actual) = (filter.filter.noise(), record.actual_levels(k));
+                for (l, course) in tracked.levels.iter_mut().enumerate() {
+                    course.take(time_s, noise.mean[l], noise.covariance[(l, l)], actual[l]);
+                }
+            }
+        }
+        if k % 2000 == 0 && !run.advance(share) {
+            return Err(ValidateError::Stopped);
+        }
+    }
+    let noise = filter.filter.noise();
+    (tracked.replaced, tracked.limited) = ([noise.fallbacks, noise.working_fallbacks], noise.limited);
+    Ok(tracked)
+}
+
+/// Largest relative difference of two sets of rms errors.
+fn worst(found: &Tabulated, reference: &Tabulated) -> f64 {
+    found.iter().zip(reference).map(|(found, reference)| (found / reference - 1.0).abs()).fold(0.0, f64::max)
+}
+
+/// Least and largest ratio of two sets.
+fn ratios(found: &Tabulated, reference: &Tabulated) -> (f64, f64) {
+    let each = || found.iter().zip(reference).map(|(found, reference)| found / reference);
+    (each().fold(f64::INFINITY, f64::min), each().fold(0.0, f64::max))
+}
+
+/// Published beside measured, quantity by quantity.
+fn table<const N: usize>(
+    title: &str,
+    heads: [&str; N],
+    published: &[[f64; N]; 20],
+    measured: [&Tabulated; N],
+) -> Table {
+    let mut columns = vec!["state".to_owned()];
+    columns.extend(heads.iter().flat_map(|head| [format!("{head}, published"), format!("{head}, measured")]));
+    let rows = published.iter().enumerate().map(|(k, published)| {
+        let (what, unit) = if k < TABULATED.len() { ("x", "m") } else { ("ẋ", "m/s") };
+        let mut row = vec![format!("{what} {} ({unit})", TABULATED[k % TABULATED.len()])];
+        let values = published.iter().zip(measured);
+        row.extend(values.flat_map(|(value, measured)| [format!("{value:.3e}"), format!("{:.3e}", measured[k])]));
+        row
+    });
+    Table { title: title.to_owned(), columns, rows: rows.collect() }
+}
+
+fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
+    let (seconds, from_s) = run.pick((1000.0, 100.0), (120.0, 50.0));
+    let record = simulate(case, run.seed, seconds).map_err(ValidateError::setting)?;
+    let actual = track(&record, Levels::Actual, from_s, 0.2, run)?;
+    let constant = track(&record, Levels::Constant(START), from_s, 0.4, run)?;
+    let online = track(&record, Levels::Online(START), from_s, 0.6, run)?;
+    let (rms, far, found) = (actual.errors.rms(), constant.errors.rms(), online.errors.rms());
+
+    let full = |required: Required| run.pick(required, Required::Reported);
+    // records of 120 s hold fewer of the states' own correlation times
+    let (most, published_most) = match case {
+        Case::Ground => (run.pick(0.0005, 0.002), 1.87e-4),
+        Case::ModulatedGround => (run.pick(0.005, 0.01), 2.4e-3),
+        Case::Wind => (run.pick(0.0015, 0.003), 1.2e-3),
+    };
+    let (least_ratio, largest_ratio) = ratios(&far, &rms);
+    let mut figures = vec![
+        Figure::new(
+            "rms errors, online over actual levels: largest difference",
+            worst(&found, &rms),
+            Required::AtMost(most),
+        )
+        .published(published_most),
+        Figure::new("end of the training (s)", online.training_s, Required::Within { of: 5.0, by: 0.011 }),
+        Figure::new("replaced Hessians in the training", online.replaced[0] as f64, Required::Reported),
+        Figure::new("replaced Hessians later", online.replaced[1] as f64, Required::AtMost(0.0)),
+        Figure::new("steps stopped by the positivity guard", online.limited as f64, Required::AtMost(0.0)),
+        // how bad the wrong levels are follows the noise of the record
+        Figure::new("rms errors, [10, 10] over actual levels: least ratio", least_ratio, Required::Reported),
+        Figure::new("rms errors, [10, 10] over actual levels: largest ratio", largest_ratio, Required::Reported),
+    ];
+    if case == Case::Ground {
+        let variance = held_variance(tall_building::GROUND_INTENSITY, STEP_S);
+        figures.push(
+            Figure::new(
+                "variance of a sample of the ground motion (m²/s⁴)",
+                variance,
+                Required::Within { of: 0.075_398_2, by: 1e-6 },
+            )
+            .published(0.0754),
+        );
+        let published: Tabulated = std::array::from_fn(|k| published::RMS_1[k][0]);
+        figures.push(Figure::new(
+            "rms errors with actual levels against table 2: largest difference",
+            worst(&rms, &published),
+            full(Required::AtMost(0.15)),
+        ));
+    }
+    for (level, name) in online.levels.iter().zip(["excitation", "sensors"]) {
+        let (ratio, inside, stated) = agreement(level, from_s, seconds);
+        let mut scatter = Mean::default();
+        level.points.iter().for_each(|[_, mean, _, truth]| scatter.take((mean / truth - ratio).powi(2)));
+        let scatter = scatter.value().sqrt();
+        let (required, covered) = match (case, name) {
+            (Case::Ground, _) => (Required::Within { of: 1.0, by: 0.02 }, full(Required::AtLeast(0.99))),
+            (Case::Wind, _) => (Required::Within { of: 1.0, by: 0.03 }, full(Required::AtLeast(0.99))),
+            (Case::ModulatedGround, "sensors") => {
+                (Required::Within { of: 1.0, by: 0.02 }, full(Required::AtLeast(0.99)))
+            }
+            // it lags behind a level that changes
+            (Case::ModulatedGround, _) => (Required::Reported, full(Required::Between { low: 0.70, high: 0.90 })),
+        };
+        figures.extend([
+            Figure::new(format!("{name}: mean over the actual level"), ratio, full(required)),
+            Figure::new(format!("{name}: share inside 3 sd"), inside, covered),
+        ]);
+        if case == Case::Ground {
+            let (of_scatter, of_stated) = if name == "sensors" { (0.017, 0.0244) } else { (0.048, 0.079) };
+            figures.extend([
+                Figure::new(format!("{name}: scatter of that"), scatter, full(Required::relative(of_scatter, 0.3))),
+                Figure::new(
+                    format!("{name}: stated relative deviation"),
+                    stated,
+                    full(Required::relative(of_stated, 0.15)),
+                )
+                .judged(Judgement::Mean),
+            ]);
+        }
+    }
+    let mut tables = Vec::new();
+    match case {
+        Case::Ground => {
+            let heads = ["actual levels", "[10, 10]", "online"];
+            tables.push(table("Table 2: rms errors", heads, &published::RMS_1, [&rms, &far, &found]));
+            let largest = [&actual.errors.largest, &constant.errors.largest, &online.errors.largest];
+            tables.push(table("Table 3: largest errors", heads, &published::LARGEST_1, largest));
+        }
+        Case::ModulatedGround => {
+            let count = record.data.len() as f64;
+            let mean_level = (0..record.data.len()).map(|k| record.actual_levels(k)[0]).sum::<f64>() / count;
+            let mean = track(&record, Levels::Constant([mean_level, record.sensor_variance]), from_s, 0.8, run)?;
+            let first = track(&record, Levels::Constant(record.actual_levels(0)), from_s, 0.9, run)?;
+            let (mean, first) = (mean.errors.rms(), first.errors.rms());
+            figures.extend([
+                Figure::new(
+                    "mean level over actual: largest difference",
+                    worst(&mean, &rms),
+                    full(Required::AtMost(0.05)),
+                )
+                .published(0.025),
+                Figure::new(
+                    "first level over actual: largest difference",
+                    worst(&first, &rms),
+                    full(Required::AtMost(0.08)),
+                )
+                .published(0.042),
+                Figure::new(
+                    "excitation: lag behind the actual level (s)",
+                    lag(&online.levels[0], from_s + 20.0),
+                    full(Required::Between { low: 5.0, high: 13.0 }),
+                ),
+            ]);
+            let heads = ["actual levels", "their mean", "first ones", "[10, 10]", "online"];
+            tables.push(table("Table 4: rms errors", heads, &published::RMS_2, [&rms, &mean, &first, &far, &found]));
+        }
+        Case::Wind => {
+            let heads = ["actual levels", "[10, 10]", "online"];
+            tables.push(table("Table 5: rms errors", heads, &published::RMS_3, [&rms, &far, &found]));
+        }
+    }
+    let most = |course: &Course| course.points.iter().map(|point| point[3]).fold(0.0, f64::max) as f32;
+    let plots = online
+        .levels
+        .iter()
+        .zip(["Level of the excitation", "Level of the sensors"])
+        .map(|(course, title)| course.plot(title, "variance", (0.0, 1.6 * most(course))));
+    Ok(Outcome { figures, tables, plots: plots.collect() })
+}
