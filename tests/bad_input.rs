@@ -406,3 +406,24 @@ fn a_result_that_cannot_be_written_names_its_file() {
     assert!(finished.code.is_some_and(|code| code != 0), "exit code {:?}", finished.code);
     finished.expect_told(&["/nowhere/estimates.csv"]);
 }
+
+#[test]
+fn output_that_is_an_input_is_refused_and_left_as_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = two_storeys("");
+    let structure = write(&folder, "house.toml", &text);
+    let record = folder.path().join("record.csv");
+    finish(spandrel("simulate").arg(&structure).arg("--record").arg(&record).args(["--duration", "2"])).expect_code(0);
+    let before = std::fs::read(&record).unwrap();
+    let refused = [
+        finish(spandrel("simulate").arg(&structure).arg("--record").arg(&structure)),
+        finish(spandrel("estimate").arg(&structure).arg("--record").arg(&record).arg("--output").arg(&record)),
+        finish(spandrel("baseline").arg(&structure).arg("--record").arg(&record).arg("--output").arg(&record)),
+    ];
+    for finished in refused {
+        let finished = finished.expect_code(2);
+        assert!(finished.stderr.contains("would be written over"), "{}", finished.stderr);
+    }
+    assert_eq!(std::fs::read_to_string(&structure).unwrap(), text);
+    assert_eq!(std::fs::read(&record).unwrap(), before);
+}

@@ -29,6 +29,10 @@ pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert) -> String 
         AlertState::Acknowledged => {
             format!("{name} has lost {how_much}, {how_sure}{since}; {}", acknowledged(alert))
         }
+        AlertState::Cleared if alert.probability_of_loss >= rule.clear_credibility() => format!(
+            "loss of {name} was credible again, but not for {}: loss {how_much}, {how_sure}",
+            duration(rule.sustain_ns())
+        ),
         AlertState::Cleared => format!(
             "loss of {name} is no longer credible: loss {how_much}, {how_sure}, below {} for {}",
             probability(rule.clear_credibility()),

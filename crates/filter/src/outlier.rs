@@ -275,7 +275,8 @@ pub struct OutlierState {
 
 impl OutlierState {
     pub(crate) fn new(settings: &OutlierSettings, channels: usize) -> Self {
-        Self { channels: vec![ChannelScreen::new(settings); channels] }
+        // one by one: a clone would not keep the reserved room
+        Self { channels: (0..channels).map(|_| ChannelScreen::new(settings)).collect() }
     }
 
     /// The channels, in the order of the observations.

@@ -67,6 +67,9 @@ pub struct Identification {
     restarts: u64,
     /// frames since the last one with a channel
     unobserved: u64,
+    /// frames since the last sample of each component of the excitation
+    unmeasured: Vec<u64>,
+    excitation_names: Vec<String>,
     /// a parameter was clipped at the last frame
     clipped: bool,
 }
@@ -147,6 +150,8 @@ impl Identification {
             stream: None,
             restarts: 0,
             unobserved: 0,
+            unmeasured: vec![0; structure.excitation_channels().len()],
+            excitation_names: structure.excitations().iter().map(|excitation| excitation.name().to_owned()).collect(),
             clipped: false,
         })
     }
@@ -250,6 +255,7 @@ impl Identification {
         for (value, channel) in self.excitation.iter_mut().zip(&self.excitation_channels) {
             *value = channel.map_or(0.0, |channel| self.frame[channel]);
         }
+        self.tell_silent_excitations(time_ns, outputs);
         let frame = Frame { observations: &self.observations, excitation: &self.excitation };
         if self.stream.is_some_and(|stream| self.unobserved >= stream.bridged_frames()) {
             self.filter.forget_motion(); // what was predicted so long is no longer known
@@ -347,6 +353,23 @@ impl Identification {
         if step.training_restarted {
             let why = "the innovations kept disagreeing with their covariance";
             outputs.push(self.event(time_ns, EventKind::Calibration, "noise levels back in training", why));
+        }
+    }
+
+    /// Tells once when an excitation that should be measured has been silent for long.
+    fn tell_silent_excitations(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
+        let bridged = self.stream.map_or(u64::MAX, Stream::bridged_frames);
+        for (input, value) in self.excitation.iter().enumerate() {
+            self.unmeasured[input] = if value.is_nan() { self.unmeasured[input] + 1 } else { 0 };
+            if self.unmeasured[input] == bridged.max(1) {
+                let name = &self.excitation_names[input];
+                outputs.push(self.event(
+                    time_ns,
+                    EventKind::Unidentified,
+                    &format!("{name} is to be measured and has no samples"),
+                    "stiffness and alerts rest on a level of it that nobody knows",
+                ));
+            }
         }
     }
 

@@ -15,6 +15,7 @@ use crate::cli::{Arguments, Command};
 use crate::error::AppError;
 use clap::CommandFactory;
 use std::io::Write;
+use std::path::Path;
 
 /// Carries out a subcommand.
 ///
@@ -39,6 +40,19 @@ pub fn run(command: Command) -> Result<(), AppError> {
             clap_complete::generate(shell, &mut Arguments::command(), "spandrel", &mut script);
             print(&String::from_utf8_lossy(&script))
         }
+    }
+}
+
+/// Refuses an output file that is one of the inputs: it would be gone before it is read to its end.
+pub fn refuse_overwriting<'p>(output: &Path, inputs: impl IntoIterator<Item = &'p Path>) -> Result<(), AppError> {
+    let same = |input: &Path| match (output.canonicalize(), input.canonicalize()) {
+        (Ok(output), Ok(input)) => output == input,
+        // what is not there cannot be written over
+        (Ok(_) | Err(_), Ok(_) | Err(_)) => false,
+    };
+    match inputs.into_iter().any(same) {
+        true => Err(AppError::WouldOverwrite { path: output.to_owned() }),
+        false => Ok(()),
     }
 }
 

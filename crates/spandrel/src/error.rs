@@ -101,6 +101,12 @@ pub enum AppError {
         /// Runs without outcome.
         failed: usize,
     },
+    /// The output is one of the inputs.
+    #[error("{}: is read by this command and would be written over; name another file", path.display())]
+    WouldOverwrite {
+        /// The file.
+        path: PathBuf,
+    },
     /// A recording has no frame from which a baseline could be learnt.
     #[error("{}: has no frame after the first {skip_s} s, nothing can be learnt from it", path.display())]
     NothingLearnt {
@@ -122,6 +128,7 @@ impl AppError {
             | Self::NoStructure
             | Self::SameStructure { .. }
             | Self::NothingLearnt { .. }
+            | Self::WouldOverwrite { .. }
             | Self::Name(_)
             | Self::Validate(ValidateError::UnknownCase { .. })
             | Self::Sensor(SensorError::Record(_))

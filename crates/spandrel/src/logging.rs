@@ -8,7 +8,8 @@ use tracing_subscriber::EnvFilter;
 /// Starts logging: warnings, with `-v` also what is rare and expected; `RUST_LOG` overrides both.
 pub fn start(format: LogFormat, verbose: u8) {
     let level = match verbose {
-        0 => "warn",
+        // that the services are ready is worth a line to whoever waits for it
+        0 => "warn,spandrel::commands::run=info",
         1 => "info",
         2 => "debug",
         _ => "trace",

@@ -1,6 +1,6 @@
 //! `spandrel baseline`: the sound values of the parameters, learnt from recordings.
 
-use super::print;
+use super::{print, refuse_overwriting};
 use crate::cli::BaselineArguments;
 use crate::error::AppError;
 use crate::{offline, record_source};
@@ -15,6 +15,8 @@ use std::fmt::Write as _;
 /// # Errors
 /// When a file is wrong or has nothing to learn from.
 pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
+    let inputs = std::iter::once(&arguments.structure).chain(&arguments.record);
+    refuse_overwriting(&arguments.output, inputs.map(|path| path.as_path()))?;
     let structure = Structure::read(&arguments.structure)?;
     let skipped = (arguments.skip * structure.sampling_rate_hz()) as u64;
     let mut records = Vec::new();

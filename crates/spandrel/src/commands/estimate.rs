@@ -1,6 +1,6 @@
 //! `spandrel estimate`: identification of a recording without a bus.
 
-use super::{print, progress};
+use super::{print, progress, refuse_overwriting};
 use crate::cli::EstimateArguments;
 use crate::error::AppError;
 use crate::{offline, record_source};
@@ -15,6 +15,10 @@ use spandrel_structure::Structure;
 /// # Errors
 /// When a file is wrong or cannot be written.
 pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
+    if let Some(output) = &arguments.output {
+        let inputs = [Some(&arguments.structure), Some(&arguments.record), arguments.baseline.as_ref()];
+        refuse_overwriting(output, inputs.into_iter().flatten().map(|path| path.as_path()))?;
+    }
     let structure = Structure::read(&arguments.structure)?;
     let recording = record_source::open(&structure, &arguments.record)?;
     let baseline = arguments.baseline.as_deref().map(Baseline::read).transpose()?;

@@ -1,6 +1,6 @@
 //! `spandrel simulate`: a simulated structure, to the bus or to a file.
 
-use super::{print, progress};
+use super::{print, progress, refuse_overwriting};
 use crate::cli::SimulateArguments;
 use crate::error::AppError;
 use crate::services::{block_on, epoch_now, interrupted};
@@ -24,6 +24,7 @@ pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
     let seed = arguments.seed.unwrap_or(structure.simulation().seed());
     let frames = |seconds: f64| (seconds * structure.sampling_rate_hz()).round() as u64;
     if let Some(path) = &arguments.record {
+        refuse_overwriting(path, [arguments.structure.as_path()])?;
         return write_record(&structure, path, seed, frames(arguments.duration.unwrap_or(DEFAULT_RECORD_S)));
     }
     let settings = Settings::load(&arguments.bus)?;
