@@ -100,7 +100,7 @@ impl OutlierSettings {
             return refuse("lower bound of the outlier screening", self.lower, "from 0 to the upper bound");
         }
         if let OutlierTraining::Gated(gate) = self.training
-            && !(gate > 0.0)
+            && (gate.is_nan() || gate <= 0.0)
         {
             return refuse("gate of the outlier training", gate, "positive");
         }

@@ -70,8 +70,8 @@ pub struct Identification {
     /// frames since the last sample of each component of the excitation
     unmeasured: Vec<u64>,
     excitation_names: Vec<String>,
-    /// a parameter was clipped at the last frame
-    clipped: bool,
+    /// frames since a parameter was last clipped, if it ever was
+    since_clipped: Option<u64>,
 }
 
 /// Where the running epoch of frames stands.
@@ -152,7 +152,7 @@ impl Identification {
             unobserved: 0,
             unmeasured: vec![0; structure.excitation_channels().len()],
             excitation_names: structure.excitations().iter().map(|excitation| excitation.name().to_owned()).collect(),
-            clipped: false,
+            since_clipped: None,
         })
     }
 
@@ -373,10 +373,11 @@ impl Identification {
         }
     }
 
-    /// Tells when parameters reach their bounds, once until they have left them.
+    /// Tells when parameters reach their bounds, once until they have kept off them for as long as a gap may be.
     fn tell_clipping(&mut self, time_ns: i64, step: &Step, outputs: &mut Vec<Output>) {
+        let Some(bridged) = self.stream.map(Stream::bridged_frames) else { return };
         let clips = step.limited_states > 0;
-        if clips && !self.clipped {
+        if clips && self.since_clipped.is_none_or(|frames| frames > bridged) {
             let (mean, settings) = (self.filter.mean(), self.filter.settings());
             let first = mean.len() - self.parameter_views.len();
             let at_bound = |(index, view): (usize, &ParameterView)| {
@@ -391,7 +392,7 @@ impl Identification {
                 &format!("the estimate left its bounds: {}", names.join(", ")),
             ));
         }
-        self.clipped = clips;
+        self.since_clipped = if clips { Some(0) } else { self.since_clipped.map(|frames| frames + 1) };
     }
 
     /// Tells what changed for a channel, as an event and on its topic.

@@ -221,7 +221,7 @@ fn parameters_at_their_bounds_are_told_once() {
     let outputs = identified(&structure, block);
     let told: Vec<_> = events(&outputs).into_iter().filter(|e| e.what == "parameters kept at their bounds").collect();
     assert!(told.iter().any(|event| event.why.contains("storey-2") && event.time_ns > 20_000_000_000), "{told:?}");
-    assert!(told.len() < 40, "{} times", told.len());
+    assert!(told.len() <= 3, "{} times", told.len()); // in 40 s, with 10 s of quiet between
 }
 
 #[test]
