@@ -225,6 +225,18 @@ fn parameters_at_their_bounds_are_told_once() {
 }
 
 #[test]
+fn excitation_that_is_never_measured_is_told_once() {
+    let (structure, mut block) = of_text(|text| text, 3000);
+    for frame in block.values.chunks_exact_mut(6) {
+        frame[0] = f64::NAN;
+    }
+    let outputs = identified(&structure, block);
+    let told: Vec<_> = events(&outputs).into_iter().filter(|e| e.what.contains("has no samples")).collect();
+    assert_eq!(told.len(), 1);
+    assert!(told[0].what.contains("ground") && told[0].time_ns < 11_000_000_000, "{told:?}");
+}
+
+#[test]
 fn long_stretch_without_any_channel_neither_diverges_nor_spoils_the_parameters() {
     let (structure, mut block) = of_text(|text| text.replace("half-life-s = 10", "half-life-s = 2"), 12_000);
     for value in &mut block.values[3000 * 6..10_000 * 6] {
