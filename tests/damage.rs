@@ -4,7 +4,7 @@
 
 use serde_json::Value;
 use spandrel_bus::{FrameBlock, Header, StreamState};
-use spandrel_identify::{Identification, Input, Output};
+use spandrel_identify::{Estimator, Identification, Input, Output};
 use spandrel_structure::Structure;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -147,7 +147,7 @@ fn sound_hour(seed: u64) {
             continue; // the first 60 s
         }
         counted += 1.0;
-        let filter = core.filter();
+        let Estimator::Filter(filter) = core.estimator() else { panic!("the demo has one model") };
         for storey in 0..5 {
             let (mean, variance) = (filter.mean()[10 + storey], filter.covariance()[(10 + storey, 10 + storey)]);
             covered[storey] += f64::from(u8::from((mean - 1.0).powi(2) <= 1.96_f64.powi(2) * variance));

@@ -57,10 +57,11 @@ pub use grid::{MAX_RATE_HZ, MIN_RATE_HZ, TimeGrid};
 pub use keys::{DEFAULT_ROOT, Keys, Service, Topic, parse_key};
 pub use live::{LiveToken, LiveWatch};
 pub use message::{
-    Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChannelState, CredibleInterval, DecodeError,
-    Description, EncodeError, Estimate, EstimateBlock, EstimateFlags, Event, EventKind, Format, FrameBlock, Header,
-    MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message, NodeState,
-    NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, Progress, SampleBlock, Status, StreamState,
+    Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChannelState, ClassCalibration, ClassPlausibility,
+    CredibleInterval, DecodeError, Description, EncodeError, Estimate, EstimateBlock, EstimateFlags, Event, EventKind,
+    Format, FrameBlock, Header, MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan,
+    Message, ModelClassDisplay, NodeState, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, Progress,
+    SampleBlock, Status, StreamState,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};

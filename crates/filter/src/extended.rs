@@ -190,6 +190,8 @@ pub struct ExtendedKalmanFilter<M> {
     settings: FilterSettings,
     state: FilterState,
     work: Workspace,
+    /// noise levels and rejected channels come from another filter of the same frames
+    follows: bool,
 }
 
 #[derive(Debug, Clone)]
@@ -277,7 +279,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             sorted: Vec::with_capacity(settings.outliers.map_or(0, |outliers| outliers.recent_len())),
         };
         let state = FilterState::start(&model, &settings);
-        Ok(Self { model, settings, state, work })
+        Ok(Self { model, settings, state, work, follows: false })
     }
 
     /// Goes back to the prior: what a diverged filter is left with.
@@ -461,7 +463,49 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         Ok(())
     }
 
-    fn check_frame(&self, frame: Frame<'_>) -> Result<(), FilterError> {
+    /// At its prior, takes the motion to be as large as another filter has seen it.
+    pub(crate) fn expect_motion_of<N>(&mut self, other: &ExtendedKalmanFilter<N>, motion_len: usize) {
+        for j in 0..motion_len {
+            self.state.covariance[(j, j)] += other.state.motion_mean_square[j];
+        }
+        self.state.motion_mean_square.copy_from(&other.state.motion_mean_square);
+        self.state.excitation_mean_square.copy_from(&other.state.excitation_mean_square);
+    }
+
+    /// From now on the noise levels are `psi` (N_ψ), and no outliers are screened: another filter of the same frames does
+    /// both.
+    pub(crate) fn follow(&mut self, psi: &[f64]) {
+        self.follows = true;
+        self.state.noise.mean.copy_from_slice(psi);
+    }
+
+    /// From now on identifies the noise levels and screens outliers, continuing from what another filter knew of them.
+    pub(crate) fn lead(&mut self, noise: NoiseState, outliers: Option<OutlierState>) {
+        self.follows = false;
+        (self.state.noise, self.state.outliers) = (noise, outliers);
+    }
+
+    /// Takes over mean and covariance, and what filter `source` of the same motion knows besides them.
+    ///
+    /// `origin` says which entry of the state of `source` an entry of this one's is, if any.
+    pub(crate) fn continue_from(
+        &mut self,
+        source: &FilterState,
+        mean: DVector<f64>,
+        covariance: DMatrix<f64>,
+        origin: impl Fn(usize) -> Option<usize>,
+    ) {
+        let mut state = source.clone();
+        if let (Some(posterior), Some(known)) = (&mut state.posterior, &source.posterior) {
+            posterior.cross = DMatrix::from_fn(mean.len(), known.cross.ncols(), |row, input| {
+                origin(row).map_or(0.0, |row| known.cross[(row, input)])
+            });
+        }
+        (state.mean, state.covariance) = (mean, covariance);
+        self.state = state;
+    }
+
+    pub(crate) fn check_frame(&self, frame: Frame<'_>) -> Result<(), FilterError> {
         let sizes = [
             ("observations of a frame", frame.observations.len(), self.model.observation_len()),
             ("excitation of a frame", frame.excitation.len(), self.model.excitation_len()),
@@ -506,7 +550,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Writes mean, `λ A Σ Aᵀ` and `B` of the coming instant; the first frame finds the prior.
     fn predict(&mut self) {
-        let Self { model, settings, state, work } = self;
+        let Self { model, settings, state, work, .. } = self;
         work.mean.copy_from(&state.mean);
         if state.fresh {
             work.covariance.copy_from(&state.covariance);
@@ -609,12 +653,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Rejects outliers, by the noise levels as they were before this step; returns how many there are.
     fn screen_outliers(&mut self, frame: Frame<'_>) -> usize {
-        if self.settings.outliers.is_none() {
+        if self.follows || self.settings.outliers.is_none() {
             return 0;
         }
         self.write_noise_covariances(frame);
         let annealing = self.annealing();
-        let Self { model, settings, state, work } = self;
+        let Self { model, settings, state, work, .. } = self;
         let (Some(outlier_settings), Some(outliers)) = (&settings.outliers, &mut state.outliers) else {
             return 0;
         };
@@ -653,10 +697,11 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Moves the noise parameters by what this frame says of them.
     fn update_noise(&mut self, frame: Frame<'_>) -> NoiseEvents {
-        if self.settings.noise.parameters.is_empty() || self.settings.noise_settings.rule == NoiseRule::Fixed {
+        let fixed = self.settings.noise.parameters.is_empty() || self.settings.noise_settings.rule == NoiseRule::Fixed;
+        if self.follows || fixed {
             return NoiseEvents::default();
         }
-        let Self { model, settings, state, work } = self;
+        let Self { model, settings, state, work, .. } = self;
         if state.fresh && frame.observations.iter().all(|datum| datum.is_nan()) {
             return NoiseEvents::default(); // the prior is for this very instant: nothing has aged
         }
@@ -700,7 +745,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// Adds the noises to `P`, `H P` and `S`.
     fn add_noises(&mut self) {
         let annealing = self.annealing();
-        let Self { model, settings, state, work } = self;
+        let Self { model, settings, state, work, .. } = self;
         let lambda = settings.fading.value();
         let felt = state.posterior.is_some() && !state.fresh;
         let innovation_covariance = &mut work.update.innovation_covariance;
@@ -781,7 +826,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Makes the result of the step the state.
     fn commit(&mut self, frame: Frame<'_>, normalised_innovation_squared: f64) {
-        let Self { model, settings, state, work } = self;
+        let Self { model, settings, state, work, .. } = self;
         if let (Some(direct), Some(posterior)) = (model.feedthrough(), &mut state.posterior) {
             update::infer_excitation(direct, &work.frame_excitation, &work.h_p, &work.update, posterior);
         }
@@ -812,6 +857,16 @@ fn screened(state: &FilterState) -> usize {
 }
 
 impl FilterState {
+    /// Returns what was known of the noise parameters.
+    pub(crate) fn noise(&self) -> &NoiseState {
+        &self.noise
+    }
+
+    /// Returns what was known of outliers.
+    pub(crate) fn outliers(&self) -> Option<&OutlierState> {
+        self.outliers.as_ref()
+    }
+
     fn start(model: &(impl ProcessModel + ObservationModel), settings: &FilterSettings) -> Self {
         let (n, inputs) = (model.state_len(), model.excitation_len());
         Self {

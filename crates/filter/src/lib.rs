@@ -18,6 +18,7 @@
 //! - [`constant`]: what such a model computes only once
 //! - [`steady`]: stationary gain and error covariance of a linear filter, right or wrong
 //! - [`kalman`]: the plain Kalman filter of a known linear system
+//! - [`classes`]: several models of one system compared while they run
 //! - [`particle`]: the particle filter, for distributions that are not Gaussian
 //! - [`band_limit`]: the low-pass that is the same on every channel
 //!
@@ -28,6 +29,7 @@ pub mod error;
 pub mod model;
 
 pub mod band_limit;
+pub mod classes;
 pub mod constant;
 pub mod discretise;
 pub mod extended;
@@ -41,6 +43,10 @@ pub mod steady;
 pub mod update;
 
 pub use band_limit::BandLimit;
+pub use classes::{
+    ClassBank, ClassBankState, ClassEvent, ClassId, ClassPlan, ClassSettings, ComponentSystem, Grouping,
+    PersistenceRule, Plausibilities,
+};
 pub use constant::ConstantTransition;
 pub use discretise::InputHold;
 pub use error::FilterError;

@@ -2,13 +2,15 @@
 
 use crate::display::{Decimation, ParameterView, noise_display};
 use crate::error::IdentifyError;
+use crate::estimator::Estimator;
+use crate::model_classes::ClassView;
 use crate::screening::ScreeningView;
 use spandrel_bus::{
-    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FrameBlock, Header, Name, NoiseDisplay, OutlierDisplay,
-    ParameterDisplay, Phase, StreamState, TimeGrid,
+    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FrameBlock, Header, ModelClassDisplay, Name,
+    NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, StreamState, TimeGrid,
 };
-use spandrel_filter::{BandLimit, ExtendedKalmanFilter, FilterError, Frame, NoisePhase, OutlierChange, Step};
-use spandrel_structure::{Structure, StructureModel};
+use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, OutlierChange, Step};
+use spandrel_structure::Structure;
 
 /// A gap up to this long (s) is bridged by predictions; over a longer one the motion is forgotten and the parameters stay.
 const BRIDGED_GAP_S: f64 = 10.0;
@@ -41,16 +43,18 @@ pub enum Output {
     Noise(NoiseDisplay),
     /// The screening of a channel at display rate, and when it changes.
     Outliers(OutlierDisplay),
+    /// The model classes at display rate, and when they change.
+    Classes(ModelClassDisplay),
     /// Something rare.
     Event(Event),
 }
 
-/// Identification of one structure: the filter, the declared band limit, and what is displayed.
+/// Identification of one structure: the estimator, the declared band limit, and what is displayed.
 #[derive(Debug)]
 pub struct Identification {
     structure: Name,
     source: String,
-    filter: ExtendedKalmanFilter<StructureModel>,
+    estimator: Estimator,
     band_limit: Option<BandLimit>,
     observation_channels: Vec<usize>,
     excitation_channels: Vec<Option<usize>>,
@@ -58,6 +62,8 @@ pub struct Identification {
     noise_names: Vec<Name>,
     /// one for each observation row; empty where outliers are not screened
     screening: Vec<ScreeningView>,
+    /// `None` where there is one model
+    classes: Option<ClassView>,
     decimation: Decimation,
     stream: Option<Stream>,
     /// scratch: one frame as it came, then as the filter sees it
@@ -100,8 +106,7 @@ impl Identification {
         let named = |name: &str| {
             Name::new(name).map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })
         };
-        let settings = structure.filter_settings().map_err(refused)?;
-        let filter = ExtendedKalmanFilter::new(structure.model(), settings).map_err(refused)?;
+        let estimator = Estimator::new(structure).map_err(refused)?;
         let channels = structure.channel_count();
         let band_limit = structure
             .band_limit()
@@ -114,14 +119,14 @@ impl Identification {
             .enumerate()
             .map(|(index, parameter)| Ok(ParameterView::new(named(parameter.name())?, index, structure.alert_rules())))
             .collect::<Result<_, IdentifyError>>()?;
-        let noise_names = filter
+        let noise_names = estimator
             .settings()
             .noise
             .parameters
             .iter()
             .map(|parameter| named(&parameter.name))
             .collect::<Result<_, _>>()?;
-        let screening = match filter.outliers() {
+        let screening = match estimator.outliers() {
             Some(_) => {
                 let names: Vec<&str> =
                     structure.nodes().iter().flat_map(|node| node.channels()).map(|c| c.name()).collect();
@@ -135,6 +140,7 @@ impl Identification {
         };
         Ok(Self {
             screening,
+            classes: estimator.classes().map(|bank| ClassView::new(structure, bank)),
             structure: named(structure.name())?,
             source: source.into(),
             observation_channels: structure.observation_channels().to_vec(),
@@ -145,7 +151,7 @@ impl Identification {
             decimation: Decimation::new(structure.sampling_rate_hz(), structure.display_rate_hz()),
             parameter_views,
             noise_names,
-            filter,
+            estimator,
             band_limit,
             stream: None,
             restarts: 0,
@@ -176,10 +182,16 @@ impl Identification {
         self.stream.map_or(0, |stream| stream.next)
     }
 
-    /// Returns the filter.
+    /// Returns the estimator.
     #[must_use]
-    pub fn filter(&self) -> &ExtendedKalmanFilter<StructureModel> {
-        &self.filter
+    pub fn estimator(&self) -> &Estimator {
+        &self.estimator
+    }
+
+    /// Tells whether several model classes are compared.
+    #[must_use]
+    pub fn compares_classes(&self) -> bool {
+        self.classes.is_some()
     }
 
     /// Returns the names of the parameters, in the order of the estimates.
@@ -219,7 +231,7 @@ impl Identification {
     /// Notes a new life of the source of frames: numbers and times begin anew.
     fn enter_epoch(&mut self, block: &FrameBlock, outputs: &mut Vec<Output>) {
         if self.stream.is_some() {
-            self.filter.forget_motion();
+            self.estimator.forget_motion();
             self.reset_band_limit();
             outputs.push(self.event(
                 block.header.time_ns,
@@ -258,9 +270,9 @@ impl Identification {
         self.tell_silent_excitations(time_ns, outputs);
         let frame = Frame { observations: &self.observations, excitation: &self.excitation };
         if self.stream.is_some_and(|stream| self.unobserved >= stream.bridged_frames()) {
-            self.filter.forget_motion(); // what was predicted so long is no longer known
+            self.estimator.forget_motion(); // what was predicted so long is no longer known
         }
-        let result = self.filter.step(frame);
+        let result = self.estimator.step(frame);
         let observed = result.as_ref().is_ok_and(|step| step.used_channels > 0);
         self.unobserved = if observed { 0 } else { self.unobserved + 1 };
         let restarted = result.is_err();
@@ -271,6 +283,7 @@ impl Identification {
             self.tell_noise_events(time_ns, step, outputs);
             self.tell_clipping(time_ns, step, outputs);
             self.tell_outliers(time_ns, outputs);
+            self.tell_classes(time_ns, outputs);
         }
         estimates.push(self.estimate(result.ok(), restarted));
         if let Some(stream) = &mut self.stream {
@@ -318,7 +331,7 @@ impl Identification {
             start = end;
         }
         if forgets {
-            self.filter.forget_motion();
+            self.estimator.forget_motion();
             self.reset_band_limit();
         }
         if let Some(stream) = &mut self.stream {
@@ -328,9 +341,12 @@ impl Identification {
 
     fn restart(&mut self, time_ns: i64, error: &FilterError) -> Output {
         self.restarts += 1;
-        self.filter.restart();
         self.reset_band_limit();
-        self.event(time_ns, EventKind::Restart, "filter restarted from its prior", &error.to_string())
+        let what = match self.estimator.restart() {
+            Ok(()) => "filter restarted from its prior".to_owned(),
+            Err(refusal) => format!("filter could not be restarted: {refusal}"),
+        };
+        self.event(time_ns, EventKind::Restart, &what, &error.to_string())
     }
 
     fn reset_band_limit(&mut self) {
@@ -378,11 +394,10 @@ impl Identification {
         let Some(bridged) = self.stream.map(Stream::bridged_frames) else { return };
         let clips = step.limited_states > 0;
         if clips && self.since_clipped.is_none_or(|frames| frames > bridged) {
-            let (mean, settings) = (self.filter.mean(), self.filter.settings());
-            let first = mean.len() - self.parameter_views.len();
+            let mean = self.estimator.parameter_mean();
             let at_bound = |(index, view): (usize, &ParameterView)| {
-                let j = first + index;
-                (mean[j] <= settings.lower[j] || mean[j] >= settings.upper[j]).then(|| view.name().to_string())
+                let (low, high) = self.estimator.bounds(index);
+                (mean[index] <= low || mean[index] >= high).then(|| view.name().to_string())
             };
             let names: Vec<String> = self.parameter_views.iter().enumerate().filter_map(at_bound).collect();
             outputs.push(self.event(
@@ -397,7 +412,7 @@ impl Identification {
 
     /// Tells what changed for a channel, as an event and on its topic.
     fn tell_outliers(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
-        let Some(outliers) = self.filter.outliers() else { return };
+        let Some(outliers) = self.estimator.outliers() else { return };
         for (view, screen) in self.screening.iter_mut().zip(outliers.channels()) {
             let Some((change, why)) = view.take(time_ns, screen) else { continue };
             let (kind, what) = match change {
@@ -421,28 +436,36 @@ impl Identification {
         }
     }
 
+    /// Tells what happened to the model classes, as events and on their topic.
+    fn tell_classes(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
+        let (Some(bank), Some(view)) = (self.estimator.classes(), &mut self.classes) else { return };
+        let told = view.take(time_ns, bank);
+        if !told.is_empty() {
+            outputs.push(Output::Classes(view.display(&self.structure, time_ns, bank)));
+        }
+        outputs.extend(told.into_iter().map(|told| self.event(time_ns, told.kind, &told.what, &told.why)));
+    }
+
     fn most_uncertain_level(&self) -> &str {
-        let noise = self.filter.noise();
+        let noise = self.estimator.noise();
         let relative = |l: usize| noise.covariance[(l, l)] / (noise.mean[l] * noise.mean[l]);
         let most = (0..self.noise_names.len()).max_by(|a, b| relative(*a).total_cmp(&relative(*b)));
         most.map_or("a sensor", |l| self.noise_names[l].as_str())
     }
 
     fn estimate(&self, step: Option<Step>, restarted: bool) -> Estimate {
-        let (mean, covariance) = (self.filter.mean(), self.filter.covariance());
         let parameters = self.parameter_views.len();
-        let first = mean.len() - parameters;
-        let noise = self.filter.noise();
+        let noise = self.estimator.noise();
         let innovations = match step {
-            Some(_) => self.filter.innovation().as_slice().to_vec(),
+            Some(_) => self.estimator.innovation().to_vec(),
             None => vec![f64::NAN; self.observations.len()],
         };
         let used = step.map_or(0, |step| step.used_channels);
         Estimate {
-            mean: mean.as_slice()[first..].to_vec(),
+            mean: self.estimator.parameter_mean().to_vec(),
             covariance: (0..parameters)
                 .flat_map(|j| (0..=j).map(move |i| (i, j)))
-                .map(|(i, j)| covariance[(first + i, first + j)])
+                .map(|(i, j)| self.estimator.parameter_covariance(i, j))
                 .collect(),
             noise_mean: noise.mean.as_slice().to_vec(),
             noise_covariance: noise.covariance.diagonal().as_slice().to_vec(),
@@ -479,18 +502,20 @@ impl Identification {
     }
 
     fn display(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
-        let first = self.filter.mean().len() - self.parameter_views.len();
         for (index, view) in self.parameter_views.iter().enumerate() {
-            let j = first + index;
-            let (mean, variance) = (self.filter.mean()[j], self.filter.covariance()[(j, j)]);
+            let mean = self.estimator.parameter_mean()[index];
+            let variance = self.estimator.parameter_covariance(index, index);
             outputs.push(Output::Parameter(view.display(&self.structure, time_ns, mean, variance)));
         }
-        let noise = self.filter.noise();
+        let noise = self.estimator.noise();
         for (l, name) in self.noise_names.iter().enumerate() {
             let (mean, variance) = (noise.mean[l], noise.covariance[(l, l)]);
             outputs.push(Output::Noise(noise_display(&self.structure, name, time_ns, mean, variance)));
         }
-        if let Some(outliers) = self.filter.outliers() {
+        if let (Some(bank), Some(view)) = (self.estimator.classes(), &self.classes) {
+            outputs.push(Output::Classes(view.display(&self.structure, time_ns, bank)));
+        }
+        if let Some(outliers) = self.estimator.outliers() {
             for (view, screen) in self.screening.iter_mut().zip(outliers.channels()) {
                 outputs.push(Output::Outliers(view.display(&self.structure, time_ns, screen)));
             }

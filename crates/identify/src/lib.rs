@@ -1,9 +1,11 @@
-//! Identifies a structure while it moves: one adaptive extended Kalman filter per structure, one step per frame.
+//! Identifies a structure while it moves: one adaptive extended Kalman filter per structure, or one per
+//! model class, one step per frame.
 //!
 //! Aligned frames go in; estimates of the parameters and the noise levels with their uncertainty come out, at the sampling
 //! rate for programs and at display rate for people.
 //!
 //! - [`identification`]: the core, one structure; no clock, no network
+//! - [`estimator`]: what it runs, one filter or a bank of model classes
 //! - [`pool`]: the threads that filters run on
 //! - [`shell`]: joins the identification of a structure to the bus
 //!
@@ -11,12 +13,15 @@
 
 mod display;
 mod error;
+pub mod estimator;
 pub mod identification;
+mod model_classes;
 pub mod pool;
 mod screening;
 pub mod shell;
 
 pub use error::IdentifyError;
+pub use estimator::Estimator;
 pub use identification::{Identification, Input, Output};
 pub use pool::FilterPool;
 pub use shell::{ESTIMATES_KEPT, IdentifyService, log_event};

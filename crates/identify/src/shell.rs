@@ -5,8 +5,8 @@ use crate::identification::{Identification, Input, Output};
 use crate::pool::FilterPool;
 use spandrel_bus::{
     Bus, BusError, Delivery, Description, DisplayPublisher, EstimateBlock, Event, EventKind, FrameBlock, Keys,
-    LatestPublisher, LiveToken, Message, Name, NoiseDisplay, NumberedPublisher, NumberedStream, OutlierDisplay,
-    ParameterDisplay, ProgressPublisher, Service, Start, Status, Stream, StreamSettings, StreamState,
+    LatestPublisher, LiveToken, Message, ModelClassDisplay, Name, NoiseDisplay, NumberedPublisher, NumberedStream,
+    OutlierDisplay, ParameterDisplay, ProgressPublisher, Service, Start, Status, Stream, StreamSettings, StreamState,
 };
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
@@ -33,6 +33,7 @@ pub struct IdentifyService {
     parameters: BTreeMap<Name, DisplayPublisher<ParameterDisplay>>,
     noise: BTreeMap<Name, DisplayPublisher<NoiseDisplay>>,
     outliers: BTreeMap<Name, DisplayPublisher<OutlierDisplay>>,
+    classes: Option<DisplayPublisher<ModelClassDisplay>>,
     events: DisplayPublisher<Event>,
     _description: LatestPublisher<Description>,
     progress: ProgressPublisher,
@@ -79,6 +80,10 @@ impl IdentifyService {
         for name in core.screened_channels() {
             outliers.insert(name.clone(), bus.publish_display(keys.outlier(name)).await?);
         }
+        let classes = match core.compares_classes() {
+            true => Some(bus.publish_display(keys.model_class()).await?),
+            false => None,
+        };
         let description = bus.publish_latest(keys.description()).await?;
         description
             .put(&Description { structure: keys.structure().clone(), text: structure.text().to_owned() })
@@ -99,6 +104,7 @@ impl IdentifyService {
             parameters,
             noise,
             outliers,
+            classes,
             events: bus.publish_display(keys.event()).await?,
             _description: description,
             progress: bus.publish_progress(keys.progress(Service::Identify), id.to_string()).await?,
@@ -202,6 +208,11 @@ impl IdentifyService {
             }
             Output::Outliers(display) => {
                 if let Some(publisher) = self.outliers.get(&display.channel) {
+                    show(publisher, &display).await?;
+                }
+            }
+            Output::Classes(display) => {
+                if let Some(publisher) = &self.classes {
                     show(publisher, &display).await?;
                 }
             }

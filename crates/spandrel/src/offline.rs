@@ -93,7 +93,7 @@ impl Chain {
                     take(&estimates)?;
                 }
                 Output::Event(event) => spandrel_identify::log_event(&event),
-                Output::Parameter(_) | Output::Noise(_) | Output::Outliers(_) => {} // for people who watch a bus
+                Output::Parameter(_) | Output::Noise(_) | Output::Outliers(_) | Output::Classes(_) => {} // for people who watch a bus
             }
         }
         for alert in self.alerts.drain(..) {

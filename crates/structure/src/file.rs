@@ -5,6 +5,7 @@
 
 mod alert;
 mod chain;
+mod classes;
 mod damping;
 mod excitation;
 mod filter;
@@ -93,6 +94,8 @@ impl<'t> StructureFile<'t> {
         for level in &mut noise_levels {
             level.adapted &= plan.noise_rule != NoiseRule::Fixed;
         }
+        let all_parameters = (declared == parameters.len()).then_some(&parameters[..]);
+        let classes = classes::read_classes(file.table("classes"), all_parameters);
         let parameter_names: Vec<&str> = parameters.iter().map(|read| read.parameter.name()).collect();
         let parameter_names = (declared == parameters.len()).then_some(&parameter_names[..]);
         let node_names: Vec<&str> = nodes.nodes.iter().map(crate::Node::name).collect();
@@ -121,6 +124,7 @@ impl<'t> StructureFile<'t> {
             nodes: nodes.nodes,
             noise_levels,
             plan,
+            classes,
             band_limit,
             ingest: ingest?,
             alert_rules,

@@ -9,7 +9,6 @@ use spandrel_filter::{
     Annealing, FadingFactor, FilterError, FilterSettings, NoiseModel, NoiseParameter, NoiseRule, NoiseSettings,
     NoiseTarget, OutlierSettings, OutlierTraining,
 };
-use std::f64::consts::PI;
 
 /// Periods of the fundamental mode before the training of the noise levels may end: Huang & Yuen (2023), (3.31).
 const TRAINING_PERIODS: f64 = 10.0;
@@ -86,12 +85,6 @@ impl Structure {
             NoiseRule::Fisher | NoiseRule::Published | NoiseRule::Fixed => TRAINING_PERIODS,
         };
         (periods * self.fundamental_period_s() * self.sampling_rate_hz) as u64
-    }
-
-    /// Returns the fundamental period `T` as designed (s), 0 where there is none.
-    fn fundamental_period_s(&self) -> f64 {
-        let first = self.nominal_modes().and_then(|modes| modes.angular_frequencies.first().copied());
-        first.map_or(0.0, |omega| 2.0 * PI / omega)
     }
 
     /// Splits the noise levels into what is known and what is adapted.

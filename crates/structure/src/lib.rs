@@ -30,6 +30,7 @@
 //! Logic:
 //!
 //! - [`StructureModel`]: the traits of `spandrel-filter` for a structure, linear or hysteretic
+//! - [`StructureClasses`]: the same for models that group its stiffness parameters, compared while they run
 //! - [`Simulator`]: responses, damage, and faults of sensors
 //! - [`CheckReport`]: frequencies, damping, and what can be identified
 //!
@@ -62,6 +63,7 @@ mod truss;
 
 mod assembly;
 mod check;
+mod classes;
 mod filter_settings;
 mod information;
 mod linear_form;
@@ -75,6 +77,7 @@ pub use alert_rule::{AlertRule, Reference};
 pub use check::{
     CheckReport, Finding, IdentificationReport, ModeReport, NoiseLevelReport, ParameterReport, Severity, TimeStepReport,
 };
+pub use classes::StructureClasses;
 pub use error::{Diagnostic, StructureError};
 pub use excitation::Excitation;
 pub use model::StructureModel;

@@ -291,6 +291,27 @@ impl<'t> Section<'t> {
         Some(Spanned::new(value.span(), names))
     }
 
+    /// Reads a list of lists of names; the wrong ones are reported and left out.
+    pub(crate) fn name_lists(&mut self, key: &'static str) -> Option<Vec<Spanned<Vec<Spanned<String>>>>> {
+        let value = self.value(key)?;
+        let allowed = "must be a list of lists of names";
+        let Some(lists) = value.get_ref().as_array() else {
+            self.refuse(key, value, allowed);
+            return None;
+        };
+        let read = |list: &'t Spanned<DeValue<'t>>| match list.get_ref().as_array() {
+            Some(entries) => {
+                let names = entries.iter().filter_map(|entry| self.check_name(key, entry)).collect();
+                Some(Spanned::new(list.span(), names))
+            }
+            None => {
+                self.refuse(key, list, allowed);
+                None
+            }
+        };
+        lists.iter().map(read).collect()
+    }
+
     /// Reads one of a closed set of words.
     pub(crate) fn choice<T: Copy>(&mut self, key: &'static str, choices: &[(&str, T)]) -> Option<Spanned<T>> {
         let value = self.value(key)?;

@@ -1,6 +1,7 @@
 //! The structure: everything that a valid structure file says.
 
 use crate::alert_rule::AlertRule;
+use crate::classes::ClassesPlan;
 use crate::error::StructureError;
 use crate::excitation::Excitation;
 use crate::file::StructureFile;
@@ -33,6 +34,7 @@ pub struct Structure {
     pub(crate) observation_channels: Vec<usize>,
     pub(crate) noise_levels: Vec<NoiseLevel>,
     pub(crate) plan: FilterPlan,
+    pub(crate) classes: Option<ClassesPlan>,
     pub(crate) band_limit: Option<BandLimit>,
     pub(crate) ingest: IngestSettings,
     pub(crate) alert_rules: Vec<AlertRule>,

@@ -4,8 +4,8 @@ use crate::error::ValidateError;
 use crate::outcome::{Plot, Series, SeriesKind};
 use crate::run::Run;
 use crate::statistics::{Accuracy, Mean, Normal, rms};
-use spandrel_filter::{ExtendedKalmanFilter, FilterSettings, Frame, Step};
-use spandrel_structure::{Structure, StructureModel};
+use spandrel_filter::{ClassBank, ClassSettings, ExtendedKalmanFilter, FilterSettings, Frame, Step};
+use spandrel_structure::{Structure, StructureClasses, StructureModel};
 use std::path::Path;
 
 /// Frames between two looks at whether the run should go on.
@@ -24,6 +24,10 @@ pub(crate) struct Scene {
     /// frames × watched states
     states: Vec<f64>,
     watched: Vec<usize>,
+    /// frames × excitation components, 0 where one is not measured
+    excitation: Vec<f64>,
+    /// of the excitation components, 0 where one is not measured
+    excitation_noise_std: Vec<f64>,
 }
 
 /// How a scene is made from a structure file.
@@ -59,11 +63,14 @@ impl Scene {
         let rows = structure.observation_channels().to_vec();
         let watched = (plan.watched)(&structure);
         let (mut clean, mut states) = (Vec::with_capacity(frames * rows.len()), Vec::new());
+        let inputs = structure.excitation_channels().to_vec();
+        let mut excitation = Vec::with_capacity(frames * inputs.len());
         let mut simulator = structure.clean_simulator(seed);
         for frame in 0..frames {
             states.extend(watched.iter().map(|state| simulator.state()[*state]));
             let Some(values) = simulator.next() else { break };
             clean.extend(rows.iter().map(|row| values.values[*row]));
+            excitation.extend(inputs.iter().map(|input| input.map_or(0.0, |channel| values.values[channel])));
             if frame % LOOK_EVERY == 0 && !run.advance(0.0) {
                 return Err(ValidateError::Stopped);
             }
@@ -73,7 +80,27 @@ impl Scene {
             (0..channels).map(|c| plan.noise_share * rms(clean.iter().skip(c).step_by(channels).copied())).collect();
         let mut noise = Normal::stream(seed, 7);
         let data = clean.iter().enumerate().map(|(i, value)| value + noise_std[i % channels] * noise.draw()).collect();
-        Ok(Self { structure, step_s, frames, noise_std, clean, data, states, watched })
+        let excitation_noise_std: Vec<f64> = (0..inputs.len())
+            .map(|j| plan.noise_share * rms(excitation.iter().skip(j).step_by(inputs.len()).copied()))
+            .collect();
+        for (i, value) in excitation.iter_mut().enumerate() {
+            let std = excitation_noise_std[i % inputs.len()];
+            if std > 0.0 {
+                *value += std * noise.draw();
+            }
+        }
+        Ok(Self {
+            structure,
+            step_s,
+            frames,
+            noise_std,
+            clean,
+            data,
+            states,
+            watched,
+            excitation,
+            excitation_noise_std,
+        })
     }
 
     /// The settings of the file, with the noise of the sensors as it is.
@@ -83,7 +110,39 @@ impl Scene {
         for (channel, std) in self.noise_std.iter().enumerate() {
             settings.noise.sensors[(channel, channel)] = std * std;
         }
+        for (input, std) in self.excitation_noise_std.iter().enumerate().filter(|(_, std)| **std > 0.0) {
+            settings.noise.excitation[(input, input)] = std * std;
+        }
         Ok(settings)
+    }
+
+    /// What is measured of the excitation at a frame, 0 where nothing is.
+    pub(crate) fn excitation(&self, frame: usize) -> &[f64] {
+        let inputs = self.excitation_noise_std.len();
+        &self.excitation[frame * inputs..(frame + 1) * inputs]
+    }
+
+    /// Runs the model classes over the data, from this share of the case to that; `look` sees the bank after each frame.
+    pub(crate) fn compare(
+        &self,
+        settings: FilterSettings,
+        classes: ClassSettings,
+        shares: (f64, f64),
+        run: &Run<'_>,
+        mut look: impl FnMut(usize, &ClassBank<StructureClasses>),
+    ) -> Result<(), ValidateError> {
+        let mut bank =
+            ClassBank::new(self.structure.class_system(), settings, classes).map_err(ValidateError::setting)?;
+        for frame in 0..self.frames {
+            bank.step(Frame { observations: self.data(frame), excitation: self.excitation(frame) })
+                .map_err(ValidateError::at(self.time_s(frame)))?;
+            look(frame, &bank);
+            let done = frame as f64 / self.frames as f64;
+            if frame % LOOK_EVERY == 0 && !run.advance(shares.0 + (shares.1 - shares.0) * done) {
+                return Err(ValidateError::Stopped);
+            }
+        }
+        Ok(())
     }
 
     /// Time of a frame (s).
@@ -120,10 +179,9 @@ impl Scene {
         mut look: impl FnMut(usize, &ExtendedKalmanFilter<StructureModel>, &Step),
     ) -> Result<(), ValidateError> {
         let mut filter = ExtendedKalmanFilter::new(self.structure.model(), settings).map_err(ValidateError::setting)?;
-        let excitation = vec![0.0; self.structure.excitation_channels().len()];
         for frame in 0..self.frames {
             let step = filter
-                .step(Frame { observations: data(frame), excitation: &excitation })
+                .step(Frame { observations: data(frame), excitation: self.excitation(frame) })
                 .map_err(ValidateError::at(self.time_s(frame)))?;
             look(frame, &filter, &step);
             let done = frame as f64 / self.frames as f64;

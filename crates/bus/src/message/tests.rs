@@ -265,6 +265,7 @@ proptest! {
         total::<ParameterDisplay>(&bytes)?;
         total::<NoiseDisplay>(&bytes)?;
         total::<OutlierDisplay>(&bytes)?;
+        total::<ModelClassDisplay>(&bytes)?;
         total::<Event>(&bytes)?;
         total::<AlertMessage>(&bytes)?;
         total::<Acknowledgement>(&bytes)?;

@@ -1,0 +1,727 @@
+//! The filters of the classes, their plausibilities, and what they say together.
+
+use super::persistence::Persistence;
+use super::{ClassEvent, ClassId, ClassPlan, ClassSettings, ComponentSystem, Grouping, Level, Plausibilities};
+use crate::error::FilterError;
+use crate::extended::{ExtendedKalmanFilter, FilterSettings, FilterState, Frame, Step};
+use crate::model::ProcessModel;
+use crate::noise::{NoiseRule, NoiseState};
+use crate::outlier::OutlierState;
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// A filter whose state is larger than this has diverged (state units).
+const LARGEST_STATE: f64 = 1e8;
+
+/// A filter that explains one datum worse than the best by more than this has diverged (nats).
+const WORST: f64 = 1000.0;
+
+/// Filters with fewer entries step faster than threads can be woken.
+const PARALLEL_FROM: usize = 24;
+
+/// The whole state of a bank between two steps: what a checkpoint holds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ClassBankState {
+    level: Level,
+    /// what calibrations have multiplied each component by (N_k)
+    factors: Vec<f64>,
+    plausibilities: Plausibilities,
+    persistence: Persistence,
+    /// class whose filter identifies the noise levels and screens outliers
+    lead: usize,
+    /// class that was last told to lead
+    believed: ClassId,
+    /// observed steps, for the training stage
+    steps: usize,
+    calibrations: u64,
+    filters: Vec<FilterState>,
+}
+
+/// A filter for each class of a plan, with plausibilities: Huang & Yuen (2023), §5.3 to §5.5.
+///
+/// One call of [`ClassBank::step`] is one time step. The filters of large classes step in parallel; the result is the same
+/// to the bit for any number of threads.
+#[derive(Debug)]
+pub struct ClassBank<S: ComponentSystem> {
+    system: S,
+    /// of the full model
+    template: FilterSettings,
+    settings: ClassSettings,
+    members: Vec<Member<S::Model>>,
+    state: BankState,
+    events: Vec<ClassEvent>,
+    work: Workspace,
+}
+
+/// [`ClassBankState`] without the filters, which the members hold while the bank runs.
+#[derive(Debug)]
+struct BankState {
+    level: Level,
+    factors: Vec<f64>,
+    plausibilities: Plausibilities,
+    persistence: Persistence,
+    lead: usize,
+    believed: ClassId,
+    steps: usize,
+    calibrations: u64,
+}
+
+#[derive(Debug)]
+struct Member<M> {
+    id: ClassId,
+    grouping: Grouping,
+    filter: ExtendedKalmanFilter<M>,
+    result: Result<Step, FilterError>,
+}
+
+#[derive(Debug)]
+struct Workspace {
+    /// ln p(z | D, C) of each class
+    log_evidences: Vec<f64>,
+    /// the frame without the channels that the leading filter rejected (N_0)
+    observations: Vec<f64>,
+    /// noise levels of the leading filter (N_ψ)
+    psi: Vec<f64>,
+    /// estimate over the classes: motion (N_x), parameters of the full model (N_θ), and their covariance
+    motion: DVector<f64>,
+    mean: DVector<f64>,
+    covariance: DMatrix<f64>,
+    /// parameters of the full model as one class has them (N_θ)
+    of_class: DVector<f64>,
+    /// entry of a class's parameters, and factor on it, for each parameter of the full model
+    mapped: Vec<(usize, f64)>,
+}
+
+impl<S: ComponentSystem> ClassBank<S> {
+    /// Makes a bank with every filter at its prior and all classes equally plausible.
+    ///
+    /// `template` holds the settings of a filter of the full model; the prior of a group is the mean of its components'.
+    ///
+    /// # Errors
+    /// When a setting does not fit the system or lies outside its range.
+    pub fn new(system: S, template: FilterSettings, settings: ClassSettings) -> Result<Self, FilterError> {
+        let components = system.components().len();
+        settings.check(components)?;
+        let (found, expected) = (template.prior_mean.len(), system.parameter_len());
+        if found < expected {
+            return Err(FilterError::Dimension { what: "prior mean", found, expected });
+        }
+        let motion = found - expected;
+        let psi = template.noise.parameters.iter().map(|parameter| parameter.start).collect();
+        let work = Workspace {
+            log_evidences: Vec::new(),
+            observations: Vec::new(),
+            psi,
+            motion: DVector::zeros(motion),
+            mean: DVector::zeros(expected),
+            covariance: DMatrix::zeros(expected, expected),
+            of_class: DVector::zeros(expected),
+            mapped: vec![(0, 1.0); expected],
+        };
+        let state = BankState {
+            level: Level::First,
+            factors: vec![1.0; components],
+            plausibilities: Plausibilities::uniform(0),
+            persistence: Persistence::new(0),
+            lead: 0,
+            believed: ClassId::Baseline,
+            steps: 0,
+            calibrations: 0,
+        };
+        let mut bank = Self { system, template, settings, members: Vec::new(), state, events: Vec::new(), work };
+        bank.start()?;
+        Ok(bank)
+    }
+
+    /// Goes back to the prior with uniform plausibilities; what calibrations have found is forgotten.
+    ///
+    /// # Errors
+    /// When a filter cannot be made, which has been possible before.
+    pub fn restart(&mut self) -> Result<(), FilterError> {
+        self.events.clear();
+        self.start()
+    }
+
+    fn start(&mut self) -> Result<(), FilterError> {
+        let motion = self.work.motion.len();
+        self.state.level = Level::First;
+        self.state.factors.fill(1.0);
+        let mut members = self.members_at_prior()?;
+        if let Some(former) = self.members.get(self.state.lead) {
+            for member in &mut members {
+                member.filter.expect_motion_of(&former.filter, motion);
+            }
+        }
+        self.state.lead = 0;
+        self.install(members);
+        self.state.believed = self.members[0].id;
+        self.state.steps = 0;
+        self.appoint(0);
+        self.combine();
+        Ok(())
+    }
+
+    /// Takes one frame; [`ClassBank::events`] tells what it changed.
+    ///
+    /// The result is that of the most plausible class, with `ln p(z | D)` over all classes.
+    ///
+    /// # Errors
+    /// When the frame does not fit the models, which leaves the bank as it was, or when all filters have diverged: the bank
+    /// must be restarted.
+    pub fn step(&mut self, frame: Frame<'_>) -> Result<Step, FilterError> {
+        self.members[0].filter.check_frame(frame)?;
+        self.events.clear();
+        self.step_filters(frame);
+        self.weigh();
+        let log_evidence = self.state.plausibilities.update(&self.work.log_evidences, self.settings.floor);
+        if log_evidence == f64::NEG_INFINITY {
+            let lost = &self.members[self.state.lead].result;
+            return Err(lost
+                .clone()
+                .err()
+                .unwrap_or(FilterError::NotFinite { what: "state of every class", index: 0 }));
+        }
+        let (leader, former) = (self.state.plausibilities.leader(), self.state.lead);
+        let told = self.members[former].result.clone().ok();
+        let Ok(mut step) = self.members[leader].result.clone() else {
+            return Err(FilterError::NotFinite { what: "state of the most plausible class", index: leader });
+        };
+        step.log_evidence = log_evidence;
+        if let Some(told) = told {
+            step.rejected_channels = told.rejected_channels;
+            step.noise_phase = told.noise_phase;
+            step.training_ended = told.training_ended;
+            step.training_overdue = told.training_overdue;
+            step.training_restarted = told.training_restarted;
+        }
+        self.appoint(leader);
+        self.restart_lost(leader)?;
+        if step.used_channels > 0 {
+            self.act(leader)?;
+        }
+        self.combine();
+        Ok(step)
+    }
+
+    /// Forgets the motion and keeps the parameters, noise levels and plausibilities: after a gap too long to be bridged.
+    pub fn forget_motion(&mut self) {
+        for member in &mut self.members {
+            member.filter.forget_motion();
+        }
+        self.combine();
+    }
+
+    /// Returns what happened to the classes at the last step.
+    #[must_use]
+    pub fn events(&self) -> &[ClassEvent] {
+        &self.events
+    }
+
+    /// Returns the classes that compete, in the order of [`ClassBank::plausibilities`].
+    pub fn classes(&self) -> impl ExactSizeIterator<Item = ClassId> {
+        self.members.iter().map(|member| member.id)
+    }
+
+    /// Returns the plausibilities of the classes that compete.
+    #[must_use]
+    pub fn plausibilities(&self) -> &Plausibilities {
+        &self.state.plausibilities
+    }
+
+    /// Returns the most plausible class, by its place.
+    #[must_use]
+    pub fn leader(&self) -> usize {
+        self.state.lead
+    }
+
+    /// Returns the class whose lead was last told to have lasted.
+    #[must_use]
+    pub fn believed(&self) -> ClassId {
+        self.state.believed
+    }
+
+    /// Returns the filter of a class, by its place.
+    #[must_use]
+    pub fn filter(&self, class: usize) -> &ExtendedKalmanFilter<S::Model> {
+        &self.members[class].filter
+    }
+
+    /// Returns the grouping of a class, by its place.
+    #[must_use]
+    pub fn grouping(&self, class: usize) -> &Grouping {
+        &self.members[class].grouping
+    }
+
+    /// Returns what calibrations have multiplied each component by (N_k).
+    #[must_use]
+    pub fn factors(&self) -> &[f64] {
+        &self.state.factors
+    }
+
+    /// Returns how often the nominal model was calibrated.
+    #[must_use]
+    pub fn calibrations(&self) -> u64 {
+        self.state.calibrations
+    }
+
+    /// Returns the settings of the full model.
+    #[must_use]
+    pub fn template(&self) -> &FilterSettings {
+        &self.template
+    }
+
+    /// Returns the settings of the comparison.
+    #[must_use]
+    pub fn settings(&self) -> &ClassSettings {
+        &self.settings
+    }
+
+    /// Returns the physical state (N_x), weighted by the plausibilities, (5.33).
+    #[must_use]
+    pub fn motion(&self) -> &DVector<f64> {
+        &self.work.motion
+    }
+
+    /// Returns the parameters of the full model (N_θ, ratios to nominal), weighted by the plausibilities, (5.33).
+    #[must_use]
+    pub fn parameter_mean(&self) -> &DVector<f64> {
+        &self.work.mean
+    }
+
+    /// Returns the covariance of [`ClassBank::parameter_mean`] (N_θ × N_θ), that of the mixture over the classes.
+    #[must_use]
+    pub fn parameter_covariance(&self) -> &DMatrix<f64> {
+        &self.work.covariance
+    }
+
+    /// Returns what is known of the noise parameters.
+    #[must_use]
+    pub fn noise(&self) -> &NoiseState {
+        self.members[self.state.lead].filter.noise()
+    }
+
+    /// Returns what is known of outliers in each channel; `None` where they are not screened.
+    #[must_use]
+    pub fn outliers(&self) -> Option<&OutlierState> {
+        self.members[self.state.lead].filter.outliers()
+    }
+
+    /// Returns the innovation of the most plausible class (N_0), NaN where a channel was missing or rejected.
+    #[must_use]
+    pub fn innovation(&self) -> &DVector<f64> {
+        self.members[self.state.lead].filter.innovation()
+    }
+
+    /// Returns the state for a checkpoint.
+    #[must_use]
+    pub fn state(&self) -> ClassBankState {
+        ClassBankState {
+            level: self.state.level,
+            factors: self.state.factors.clone(),
+            plausibilities: self.state.plausibilities.clone(),
+            persistence: self.state.persistence.clone(),
+            lead: self.state.lead,
+            believed: self.state.believed,
+            steps: self.state.steps,
+            calibrations: self.state.calibrations,
+            filters: self.members.iter().map(|member| member.filter.state().clone()).collect(),
+        }
+    }
+
+    /// Takes the state of a checkpoint; the next step gives the same bits as if the bank had never stopped.
+    ///
+    /// # Errors
+    /// When the state does not fit the plan or the models; the bank then stays as it was.
+    pub fn restore(&mut self, state: ClassBankState) -> Result<(), FilterError> {
+        let components = self.system.components().len();
+        let found = state.factors.len();
+        if found != components {
+            return Err(FilterError::Dimension { what: "components of a checkpoint", found, expected: components });
+        }
+        if let (ClassPlan::Hierarchical { substructures }, Level::Second { substructure }) =
+            (&self.settings.plan, state.level)
+            && substructure >= substructures.groups().len()
+        {
+            let (found, expected) = (substructure, substructures.groups().len());
+            return Err(FilterError::Dimension { what: "substructure of a checkpoint", found, expected });
+        }
+        let groupings = self.settings.plan.classes(state.level, components)?;
+        let expected = groupings.len();
+        for found in [state.filters.len(), state.plausibilities.logarithms().len()] {
+            if found != expected {
+                return Err(FilterError::Dimension { what: "classes of a checkpoint", found, expected });
+            }
+        }
+        if state.lead >= expected {
+            return Err(FilterError::Dimension { what: "leading class of a checkpoint", found: state.lead, expected });
+        }
+        let mut members = Vec::with_capacity(expected);
+        for ((class, grouping), filter) in groupings.into_iter().enumerate().zip(state.filters) {
+            let mut member = self.member(state.level, class, grouping, &state.factors)?;
+            member.filter.restore(filter)?;
+            members.push(member);
+        }
+        self.members = members;
+        self.state = BankState {
+            level: state.level,
+            factors: state.factors,
+            plausibilities: state.plausibilities,
+            persistence: state.persistence,
+            lead: state.lead,
+            believed: state.believed,
+            steps: state.steps,
+            calibrations: state.calibrations,
+        };
+        self.events.clear();
+        self.appoint(self.state.lead);
+        self.combine();
+        Ok(())
+    }
+
+    /// Tells whether the leading filter finds something that the others then must know.
+    fn has_common_findings(&self) -> bool {
+        let adapts =
+            !self.template.noise.parameters.is_empty() && self.template.noise_settings.rule != NoiseRule::Fixed;
+        adapts || self.template.outliers.is_some()
+    }
+
+    fn step_filters(&mut self, frame: Frame<'_>) {
+        let lead = self.state.lead;
+        let common = self.has_common_findings();
+        let Self { members, work, .. } = self;
+        work.observations.clear();
+        work.observations.extend_from_slice(frame.observations);
+        if common {
+            let leading = &mut members[lead];
+            leading.result = leading.filter.step(frame);
+            if leading.result.is_ok() {
+                for (datum, innovation) in work.observations.iter_mut().zip(leading.filter.innovation()) {
+                    if innovation.is_nan() {
+                        *datum = f64::NAN;
+                    }
+                }
+                work.psi.copy_from_slice(leading.filter.noise().mean.as_slice());
+            }
+        }
+        let frame = Frame { observations: &work.observations, excitation: frame.excitation };
+        let psi = &work.psi;
+        let step = |(class, member): (usize, &mut Member<S::Model>)| {
+            if common && class == lead {
+                return;
+            }
+            if common {
+                member.filter.follow(psi);
+            }
+            member.result = member.filter.step(frame);
+        };
+        let is_large = members.iter().any(|member| member.filter.mean().len() >= PARALLEL_FROM);
+        if is_large {
+            members.par_iter_mut().enumerate().for_each(step);
+        } else {
+            members.iter_mut().enumerate().for_each(step);
+        }
+    }
+
+    /// Writes the evidences; a filter that was lost has none.
+    fn weigh(&mut self) {
+        let Self { members, work, .. } = self;
+        work.log_evidences.clear();
+        for member in members.iter() {
+            let kept = member.filter.mean().iter().all(|value| value.abs() <= LARGEST_STATE);
+            let evidence = member.result.as_ref().ok().filter(|_| kept).map(|step| step.log_evidence);
+            work.log_evidences.push(evidence.unwrap_or(f64::NEG_INFINITY));
+        }
+        let best = work.log_evidences.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        for evidence in &mut work.log_evidences {
+            if *evidence < best - WORST {
+                *evidence = f64::NEG_INFINITY;
+            }
+        }
+    }
+
+    /// Lets the filter of a class identify the noise levels and screen outliers from now on.
+    fn appoint(&mut self, class: usize) {
+        let former = self.state.lead;
+        if former != class {
+            let known = self.members[former].filter.state();
+            let (noise, outliers) = (known.noise().clone(), known.outliers().cloned());
+            self.members[class].filter.lead(noise, outliers);
+            self.state.lead = class;
+        }
+        let psi = self.members[class].filter.noise().mean.as_slice();
+        if psi.iter().all(|level| level.is_finite()) {
+            self.work.psi.copy_from_slice(psi);
+        }
+        if !self.has_common_findings() {
+            return;
+        }
+        let psi = std::mem::take(&mut self.work.psi);
+        for (index, member) in self.members.iter_mut().enumerate() {
+            if index != class {
+                member.filter.follow(&psi);
+            }
+        }
+        self.work.psi = psi;
+    }
+
+    /// Lets every filter that was lost continue from the leading one.
+    fn restart_lost(&mut self, leader: usize) -> Result<(), FilterError> {
+        for class in 0..self.members.len() {
+            if self.work.log_evidences[class] == f64::NEG_INFINITY {
+                let source = &self.members[leader];
+                let grouping = self.members[class].grouping.clone();
+                let multipliers: Vec<f64> = grouping
+                    .groups()
+                    .iter()
+                    .map(|group| {
+                        let of = |component: &usize| {
+                            source.filter.mean()[self.work.motion.len() + source.grouping.group_of(*component)]
+                        };
+                        group.iter().map(of).sum::<f64>() / group.len() as f64
+                    })
+                    .collect();
+                let mut member = self.member(self.state.level, class, grouping, &self.state.factors)?;
+                self.continue_member(&mut member, leader, &multipliers);
+                self.events.push(ClassEvent::Restarted { class: member.id });
+                self.members[class] = member;
+            }
+        }
+        self.appoint(leader);
+        Ok(())
+    }
+
+    /// Follows the lead of a class: calibrates, changes the level, or just tells of it.
+    fn act(&mut self, leader: usize) -> Result<(), FilterError> {
+        let steps = self.settings.persistence_steps;
+        self.state.steps += 1;
+        if self.state.steps <= steps {
+            return Ok(()); // training
+        }
+        let lead = (!self.state.plausibilities.is_tied()).then_some(leader);
+        let Some(lasting) = self.state.persistence.update(lead, steps, self.settings.persistence_rule) else {
+            return Ok(());
+        };
+        let id = self.members[lasting].id;
+        if id != self.state.believed {
+            self.events.push(ClassEvent::Leading { from: self.state.believed, to: id });
+            self.state.believed = id;
+        }
+        match (&self.settings.plan, self.state.level, id) {
+            (ClassPlan::Predefined { .. }, _, _) | (_, Level::First, ClassId::Baseline) => Ok(()),
+            (ClassPlan::Hierarchical { .. }, Level::First, ClassId::Substructure(substructure)) => {
+                self.events.push(ClassEvent::LevelUp { substructure });
+                self.enter(Level::Second { substructure }, lasting)
+            }
+            (ClassPlan::Hierarchical { .. }, Level::Second { .. }, ClassId::Baseline) => {
+                let factors = self.fold(lasting);
+                self.events.push(ClassEvent::LevelDown { factors });
+                self.enter(Level::First, lasting)
+            }
+            (_, level, by) => {
+                let factors = self.fold(lasting);
+                self.state.calibrations += 1;
+                self.events.push(ClassEvent::Calibrated { by, factors });
+                self.enter(level, lasting)
+            }
+        }
+    }
+
+    /// Makes the estimates of a class the nominal values, (5.48) and (5.67); returns what each component was multiplied by.
+    fn fold(&mut self, class: usize) -> Vec<f64> {
+        let (member, motion) = (&self.members[class], self.work.motion.len());
+        let multiplier = |component: usize| member.filter.mean()[motion + member.grouping.group_of(component)];
+        let multipliers: Vec<f64> = (0..self.state.factors.len()).map(multiplier).collect();
+        for (factor, multiplier) in self.state.factors.iter_mut().zip(&multipliers) {
+            *factor *= multiplier;
+        }
+        multipliers
+    }
+
+    /// Starts the classes of a level from one of those that run, all equally plausible: (5.54) to (5.56).
+    fn enter(&mut self, level: Level, source: usize) -> Result<(), FilterError> {
+        let groupings = self.settings.plan.classes(level, self.state.factors.len())?;
+        let mut members = Vec::with_capacity(groupings.len());
+        for (class, grouping) in groupings.into_iter().enumerate() {
+            let multipliers = vec![1.0; grouping.groups().len()];
+            let mut member = self.member(level, class, grouping, &self.state.factors)?;
+            self.continue_member(&mut member, source, &multipliers);
+            members.push(member);
+        }
+        let known = self.members[self.state.lead].filter.state();
+        let (noise, outliers) = (known.noise().clone(), known.outliers().cloned());
+        members[0].filter.lead(noise, outliers);
+        self.state.level = level;
+        self.state.lead = 0;
+        self.install(members);
+        self.appoint(0);
+        Ok(())
+    }
+
+    fn install(&mut self, members: Vec<Member<S::Model>>) {
+        self.state.plausibilities = Plausibilities::uniform(members.len());
+        self.state.persistence = Persistence::new(members.len());
+        self.members = members;
+    }
+
+    fn members_at_prior(&self) -> Result<Vec<Member<S::Model>>, FilterError> {
+        let groupings = self.settings.plan.classes(Level::First, self.state.factors.len())?;
+        let member = |(class, grouping)| self.member(Level::First, class, grouping, &self.state.factors);
+        groupings.into_iter().enumerate().map(member).collect()
+    }
+
+    fn member(
+        &self,
+        level: Level,
+        class: usize,
+        grouping: Grouping,
+        factors: &[f64],
+    ) -> Result<Member<S::Model>, FilterError> {
+        let model = self.system.grouped(&grouping, factors);
+        let settings = self.settings_of(&grouping, factors, model.state_len())?;
+        let filter = ExtendedKalmanFilter::new(model, settings)?;
+        let id = match (&self.settings.plan, level) {
+            (ClassPlan::Predefined { .. }, _) => ClassId::Predefined(class),
+            (_, _) if class == 0 => ClassId::Baseline,
+            (ClassPlan::SelfCalibrating { .. }, _) => ClassId::Calibrating(class - 1),
+            (ClassPlan::Hierarchical { .. }, Level::First) => ClassId::Substructure(class - 1),
+            (ClassPlan::Hierarchical { substructures }, Level::Second { substructure }) => {
+                ClassId::Component { component: substructures.groups()[substructure][class - 1], substructure }
+            }
+        };
+        let result = Err(FilterError::NotFinite { what: "state before the first step", index: class });
+        Ok(Member { id, grouping, filter, result })
+    }
+
+    /// Returns the parameters of the full model that are no components, in order.
+    fn others(&self) -> impl Iterator<Item = usize> {
+        let components = self.system.components();
+        (0..self.system.parameter_len()).filter(|parameter| components.binary_search(parameter).is_err())
+    }
+
+    /// Makes the settings of a class from those of the full model.
+    fn settings_of(&self, grouping: &Grouping, factors: &[f64], len: usize) -> Result<FilterSettings, FilterError> {
+        let motion = self.work.motion.len();
+        let (components, others): (_, Vec<usize>) = (self.system.components(), self.others().collect());
+        let expected = motion + grouping.groups().len() + others.len();
+        if len != expected {
+            return Err(FilterError::Dimension { what: "state of a class", found: len, expected });
+        }
+        let mean_of = |values: &mut dyn Iterator<Item = f64>, count: usize| values.sum::<f64>() / count as f64;
+        let reduce = |of: &DVector<f64>, group: &dyn Fn(&[usize]) -> f64| {
+            let grouped = grouping.groups().iter().map(|members| group(members));
+            let rest = others.iter().map(|other| of[motion + other]);
+            DVector::from_iterator(len, of.iter().take(motion).copied().chain(grouped).chain(rest))
+        };
+        let template = &self.template;
+        let entry = |of: &DVector<f64>, component: usize| of[motion + components[component]];
+        let least_bound = match self.settings.plan {
+            ClassPlan::Predefined { .. } => 0.0,
+            // a calibration opens the multipliers, however little the prior left them
+            ClassPlan::SelfCalibrating { .. } | ClassPlan::Hierarchical { .. } => self.settings.reset_std.powi(2),
+        };
+        let mut settings = FilterSettings {
+            prior_mean: reduce(&template.prior_mean, &|members| {
+                mean_of(&mut members.iter().map(|n| entry(&template.prior_mean, *n)), members.len())
+            }),
+            prior_std: reduce(&template.prior_std, &|members| {
+                mean_of(&mut members.iter().map(|n| entry(&template.prior_std, *n).powi(2)), members.len()).sqrt()
+            }),
+            variance_bound: reduce(&template.variance_bound, &|members| {
+                members.iter().map(|n| entry(&template.variance_bound, *n)).fold(least_bound, f64::max)
+            }),
+            lower: reduce(&template.lower, &|members| {
+                members.iter().map(|n| entry(&template.lower, *n) / factors[*n]).fold(f64::NEG_INFINITY, f64::max)
+            }),
+            upper: reduce(&template.upper, &|members| {
+                members.iter().map(|n| entry(&template.upper, *n) / factors[*n]).fold(f64::INFINITY, f64::min)
+            }),
+            ..template.clone()
+        };
+        for (low, high) in settings.lower.iter_mut().zip(&settings.upper) {
+            // components that have been calibrated far apart leave their group no room but to stay
+            *low = low.min(*high);
+        }
+        Ok(settings)
+    }
+
+    /// Gives a new filter the motion and other parameters of class `source`, and multipliers that are open again.
+    fn continue_member(&self, member: &mut Member<S::Model>, source: usize, multipliers: &[f64]) {
+        let motion = self.work.motion.len();
+        let (source, target) = (&self.members[source], &member.grouping);
+        let (source_groups, groups) = (source.grouping.groups().len(), target.groups().len());
+        let origin = |entry: usize| match entry {
+            entry if entry < motion => Some(entry),
+            entry if entry < motion + groups => None,
+            entry => Some(entry - groups + source_groups),
+        };
+        let (known, uncertain) = (source.filter.mean(), source.filter.covariance());
+        let len = member.filter.mean().len();
+        let mean = DVector::from_fn(len, |entry, _| match origin(entry) {
+            Some(entry) => known[entry],
+            None => multipliers[entry - motion],
+        });
+        let open = self.settings.reset_std.powi(2);
+        let covariance = DMatrix::from_fn(len, len, |row, column| match (origin(row), origin(column)) {
+            (Some(row), Some(column)) => uncertain[(row, column)],
+            (None, None) if row == column => open,
+            _ => 0.0,
+        });
+        member.filter.continue_from(source.filter.state(), mean, covariance, origin);
+    }
+
+    /// Writes the estimate over all classes, (5.33), and the covariance of the mixture.
+    fn combine(&mut self) {
+        let motion = self.work.motion.len();
+        let Self { system, members, state, work, .. } = self;
+        work.motion.fill(0.0);
+        work.mean.fill(0.0);
+        work.covariance.fill(0.0);
+        let plausibilities = &state.plausibilities;
+        for pass in 0..2 {
+            for (class, member) in members.iter().enumerate() {
+                let weight = plausibilities.of(class);
+                let y = member.filter.mean();
+                map_parameters(system, &member.grouping, &state.factors, &mut work.mapped);
+                for (value, (entry, factor)) in work.of_class.iter_mut().zip(&work.mapped) {
+                    *value = factor * y[motion + entry];
+                }
+                if pass == 0 {
+                    for (mean, value) in work.motion.iter_mut().zip(y) {
+                        *mean += weight * value;
+                    }
+                    work.mean.axpy(weight, &work.of_class, 1.0);
+                    continue;
+                }
+                work.of_class -= &work.mean;
+                let of_class = member.filter.covariance();
+                for (column, (b, factor_b)) in work.mapped.iter().enumerate() {
+                    for (row, (a, factor_a)) in work.mapped.iter().enumerate() {
+                        let within = factor_a * factor_b * of_class[(motion + a, motion + b)];
+                        let between = work.of_class[row] * work.of_class[column];
+                        work.covariance[(row, column)] += weight * (within + between);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Says which parameter of a class, times which factor, each parameter of the full model is.
+fn map_parameters(system: &impl ComponentSystem, grouping: &Grouping, factors: &[f64], mapped: &mut [(usize, f64)]) {
+    let components = system.components();
+    let groups = grouping.groups().len();
+    let (mut component, mut other) = (0, 0);
+    for (parameter, target) in mapped.iter_mut().enumerate() {
+        if components.get(component) == Some(&parameter) {
+            *target = (grouping.group_of(component), factors[component]);
+            component += 1;
+        } else {
+            *target = (groups + other, 1.0);
+            other += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

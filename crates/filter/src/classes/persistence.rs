@@ -1,0 +1,131 @@
+//! When a lead has lasted long enough to be acted on.
+
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+/// What counts as a lasting lead.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PersistenceRule {
+    /// The same class leads for `N_t` steps on end: Huang & Yuen (2023), (5.45), (5.46).
+    Consecutive,
+    /// That, or a class leads nearly all of the last `2 N_t` steps, or two classes other than the baseline have been
+    /// taking turns for `4 N_t`: then the one with the larger share. Two damages at once make their classes take turns.
+    #[default]
+    Share,
+}
+
+/// Share of the steps that is nearly all.
+const NEARLY_ALL: f64 = 0.9;
+
+/// Counts the leads of the classes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Persistence {
+    leader: Option<usize>,
+    run: usize,
+    /// leaders of the last 4 N_t steps, the newest last
+    recent: VecDeque<u16>,
+    /// how often each class leads among all, and among the newer half, of them
+    counts: Vec<[usize; 2]>,
+}
+
+impl Persistence {
+    pub(super) fn new(classes: usize) -> Self {
+        Self { leader: None, run: 0, recent: VecDeque::new(), counts: vec![[0; 2]; classes] }
+    }
+
+    /// Takes the leader of a step, `None` for a tie; returns the class whose lead has lasted.
+    pub(super) fn update(&mut self, leader: Option<usize>, steps: usize, rule: PersistenceRule) -> Option<usize> {
+        let Some(class) = leader else {
+            *self = Self::new(self.counts.len());
+            return None;
+        };
+        self.run = if self.leader == leader { self.run + 1 } else { 1 };
+        self.leader = leader;
+        if rule == PersistenceRule::Share {
+            self.remember(class, steps);
+        }
+        if self.run >= steps {
+            return Some(class);
+        }
+        if rule == PersistenceRule::Consecutive {
+            return None;
+        }
+        let most = |window: usize| (0..self.counts.len()).max_by_key(|class| self.counts[*class][window]);
+        if self.recent.len() >= 2 * steps {
+            let lasting = most(1).filter(|class| self.counts[*class][1] as f64 >= NEARLY_ALL * (2 * steps) as f64);
+            if lasting.is_some() {
+                return lasting;
+            }
+        }
+        if self.recent.len() >= 4 * steps {
+            let baseline = self.counts[0][0] as f64;
+            if baseline <= (1.0 - NEARLY_ALL) * (4 * steps) as f64 {
+                return most(0);
+            }
+        }
+        None
+    }
+
+    fn remember(&mut self, class: usize, steps: usize) {
+        self.recent.push_back(class as u16);
+        for window in 0..2 {
+            self.counts[class][window] += 1;
+        }
+        let len = self.recent.len();
+        if len > 2 * steps {
+            self.counts[usize::from(self.recent[len - 1 - 2 * steps])][1] -= 1;
+        }
+        if len > 4 * steps {
+            if let Some(oldest) = self.recent.pop_front() {
+                self.counts[usize::from(oldest)][0] -= 1;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns the step (from 1) and the class of the first lasting lead.
+    fn first_lead(leaders: impl Iterator<Item = Option<usize>>, rule: PersistenceRule) -> Option<(usize, usize)> {
+        let mut persistence = Persistence::new(3);
+        leaders.zip(1..).find_map(|(leader, step)| Some((step, persistence.update(leader, 10, rule)?)))
+    }
+
+    #[test]
+    fn lead_lasts_after_as_many_steps_on_end() {
+        let leaders = [0; 5].into_iter().chain([1; 20]).map(Some);
+        for rule in [PersistenceRule::Consecutive, PersistenceRule::Share] {
+            assert_eq!(first_lead(leaders.clone(), rule), Some((15, 1)));
+        }
+    }
+
+    #[test]
+    fn tie_begins_anew() {
+        let leaders = [Some(1); 9].into_iter().chain([None]).chain([Some(1); 10]);
+        assert_eq!(first_lead(leaders, PersistenceRule::Consecutive), Some((20, 1)));
+    }
+
+    #[test]
+    fn classes_that_take_turns_are_acted_on_by_share_only() {
+        // class 1 leads two steps of three, class 2 the third
+        let leaders = (0..400).map(|step| Some(if step % 3 == 2 { 2 } else { 1 }));
+        assert_eq!(first_lead(leaders.clone(), PersistenceRule::Consecutive), None);
+        assert_eq!(first_lead(leaders, PersistenceRule::Share), Some((40, 1)));
+    }
+
+    #[test]
+    fn rare_interruptions_do_not_delay_by_share() {
+        let leaders = (1..400).map(|step| Some(if step % 10 == 0 { 0 } else { 2 }));
+        assert_eq!(first_lead(leaders.clone(), PersistenceRule::Consecutive), None);
+        assert_eq!(first_lead(leaders, PersistenceRule::Share), Some((20, 2)));
+    }
+
+    #[test]
+    fn baseline_that_leads_at_times_holds_the_others_back() {
+        let leaders = (0..400).map(|step| Some([1, 2, 0][step % 3]));
+        assert_eq!(first_lead(leaders, PersistenceRule::Share), None);
+    }
+}
