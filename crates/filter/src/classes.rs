@@ -90,7 +90,11 @@ impl ClassPlan {
         })
     }
 
-    fn check(&self, components: usize) -> Result<(), FilterError> {
+    /// Checks that there are classes, that each groups all components, and that no two of one level are the same.
+    ///
+    /// # Errors
+    /// With the first thing that is wrong.
+    pub fn check(&self, components: usize) -> Result<(), FilterError> {
         let groupings: Vec<&Grouping> = match self {
             Self::Predefined { classes } | Self::SelfCalibrating { classes } => classes.iter().collect(),
             Self::Hierarchical { substructures } => vec![substructures],

@@ -4,6 +4,10 @@ use crate::error::ValidateError;
 use crate::outcome::Outcome;
 use crate::run::Run;
 
+mod class_bouc_wen;
+mod class_dome;
+mod class_high_rise;
+mod classes;
 mod ekf_bouc_wen;
 mod ekf_bridge;
 mod ekf_oscillator;
@@ -35,7 +39,9 @@ const BOOK_3: &str = "Huang & Yuen (2023), chapter 3";
 const YUEN_2013: &str = "Yuen, Liang & Kuok (2013)";
 const BOOK_4: &str = "Huang & Yuen (2023), chapter 4";
 
-static CASES: [Case; 16] = [
+const BOOK_5: &str = "Huang & Yuen (2023), chapter 5";
+
+static CASES: [Case; 19] = [
     Case {
         name: "kalman.vehicle",
         title: "Tracking of a vehicle with the Kalman filter",
@@ -147,6 +153,27 @@ static CASES: [Case; 16] = [
         source: BOOK_4,
         weight: 400.0,
         run: outlier_truss::run,
+    },
+    Case {
+        name: "class.high-rise",
+        title: "Fifty-storey building, five model classes with more and more of its storeys taken singly",
+        source: BOOK_5,
+        weight: 100.0,
+        run: class_high_rise::run,
+    },
+    Case {
+        name: "class.bouc-wen",
+        title: "Five-mass chain whose springs yield, six model classes that calibrate the model",
+        source: BOOK_5,
+        weight: 35.0,
+        run: class_bouc_wen::run,
+    },
+    Case {
+        name: "class.dome",
+        title: "Dome of 42 bars, model classes for its substructures and then for their bars",
+        source: BOOK_5,
+        weight: 400.0,
+        run: class_dome::run,
     },
 ];
 

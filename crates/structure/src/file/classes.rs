@@ -145,8 +145,10 @@ fn make_plan(
             ClassPlan::Predefined { classes: groupings(classes)? }
         }
         Kind::SelfCalibrating if classes.is_empty() => {
-            names = components.iter().map(|name| (*name).to_owned()).collect();
-            let alone = (0..count).map(|component| Grouping::apart(vec![component], count).ok());
+            // of two components, one alone is the other one alone
+            let singled_out = if count == 2 { 1 } else { count };
+            names = components.iter().take(singled_out).map(|name| (*name).to_owned()).collect();
+            let alone = (0..singled_out).map(|component| Grouping::apart(vec![component], count).ok());
             ClassPlan::SelfCalibrating { classes: alone.collect::<Option<_>>()? }
         }
         Kind::SelfCalibrating => ClassPlan::SelfCalibrating { classes: groupings(classes)? },
@@ -168,6 +170,14 @@ fn make_plan(
             }
         }
     };
+    if let Err(FilterError::Setting { found: class, .. }) = plan.check(count) {
+        let found = match (kind, names.get((class as usize).saturating_sub(usize::from(kind != Kind::Predefined)))) {
+            (Kind::Predefined | Kind::SelfCalibrating, Some(name)) => format!("groups \"{name}\" as another class"),
+            _ => "has classes that are the same".to_owned(),
+        };
+        let allowed = "must tell every class from the others, and from one multiplier for everything";
+        refuse(section.span(), found, allowed)?;
+    }
     Some((names, plan))
 }
 

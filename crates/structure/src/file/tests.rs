@@ -43,6 +43,7 @@ fn every_example_is_read() {
         "three-pier-bridge",
         "fourteen-bay-truss",
         "dome",
+        "dome-bars",
         "bouc-wen-ten",
         "bouc-wen-five",
         "hysteretic-oscillator",
@@ -547,4 +548,62 @@ fn numbers_that_would_overflow_or_stall_a_filter_are_refused() {
         let mistakes = mistakes_after(from, to);
         assert!(mistakes.iter().any(|mistake| mistake.starts_with(key)), "{mistakes:?}");
     }
+}
+
+/// Returns the mistakes of the demo with a `[classes]` table.
+#[track_caller]
+fn class_mistakes(table: &str) -> Vec<String> {
+    mistakes(&format!("{DEMO}\n{table}"))
+}
+
+#[test]
+fn classes_are_read_with_their_groups() {
+    let text = format!(
+        "{DEMO}\n[classes]\nkind = \"predefined\"\nfloor = 1e-6\npersistence-s = 2\n\
+         [[classes.class]]\nname = \"all\"\ngroups = []\n\
+         [[classes.class]]\nname = \"lowest\"\ngroups = [[\"storey-1\"]]\n"
+    );
+    let settings = read(&text).unwrap().class_settings().unwrap();
+    assert_eq!((settings.floor, settings.persistence_steps), (1e-6, 200));
+    let text = format!("{DEMO}\n[classes]\nkind = \"self-calibrating\"\n");
+    let structure = read(&text).unwrap();
+    // two fundamental periods of 1 s at 100 Hz
+    assert_eq!(structure.class_settings().unwrap().persistence_steps, 200);
+}
+
+#[test]
+fn mistakes_of_classes_are_named() {
+    let has = |table: &str, parts: &[&str]| {
+        let found = class_mistakes(table);
+        assert!(
+            found.iter().any(|mistake| parts.iter().all(|part| mistake.contains(part))),
+            "{table}\n  expected {parts:?}\n  found    {found:?}"
+        );
+    };
+    let predefined = |classes: &str| format!("[classes]\nkind = \"predefined\"\n{classes}");
+    let class = |name: &str, groups: &str| format!("[[classes.class]]\nname = \"{name}\"\ngroups = {groups}\n");
+    has("[classes]\n", &["classes.kind", "predefined"]);
+    has(&predefined(&class("one", "[[\"storey-1\"]]")), &["has 1 entries", "at least 2"]);
+    has(&predefined(&class("one", "[[\"storey-9\"]]")), &["classes.class.groups", "storey-9", "storey-1"]);
+    has(
+        &predefined(&(class("one", "[[\"storey-1\", \"storey-1\"]]") + &class("two", "[]"))),
+        &["names \"storey-1\" twice"],
+    );
+    has(
+        &predefined(
+            &(class("one", "[[\"storey-1\"]]")
+                + &class("two", "[[\"storey-2\",\"storey-3\",\"storey-4\",\"storey-5\"]]")),
+        ),
+        &["groups \"two\" as another class"],
+    );
+    has(
+        "[classes]\nkind = \"hierarchical\"\n[[classes.class]]\nname = \"low\"\nof = [\"storey-1\", \"storey-2\"]\n",
+        &["has 1 substructures with 2 stiffness parameters", "each of the 5"],
+    );
+    has("[classes]\nkind = \"self-calibrating\"\nfloor = 0.3\n", &["classes.floor: is 0.3", "below 1/6"]);
+    has("[classes]\nkind = \"self-calibrating\"\npersistance-s = 1\n", &["persistance-s", "persistence-s"]);
+    has(
+        "[classes]\nkind = \"self-calibrating\"\n[[classes.class]]\nname = \"baseline\"\nof = [\"storey-1\"]\n",
+        &["is \"baseline\""],
+    );
 }
