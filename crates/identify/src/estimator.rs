@@ -1,7 +1,9 @@
-//! What turns frames into estimates: one filter, or one for each model class.
+//! What turns frames into estimates: one filter, one for each model class, or particles.
 
+use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{
-    ClassBank, ExtendedKalmanFilter, FilterError, FilterSettings, Frame, NoiseState, OutlierState, Step,
+    ClassBank, ExtendedKalmanFilter, FilterError, FilterSettings, Frame, NoiseState, OutlierState, ParticleSettings,
+    ProcessModel, Step, WarmStartedParticleFilter,
 };
 use spandrel_structure::{Structure, StructureClasses, StructureModel};
 
@@ -12,6 +14,76 @@ pub enum Estimator {
     Filter(Box<ExtendedKalmanFilter<StructureModel>>),
     /// Several models, weighted by their plausibilities.
     Classes(Box<ClassBank<StructureClasses>>),
+    /// One model without the assumption that anything is Gaussian: slow, and the yardstick for the other two.
+    Particles(Box<Particles>),
+}
+
+/// How particles are used in place of a Kalman filter.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParticlePlan {
+    /// The particle filter itself.
+    pub settings: ParticleSettings,
+    /// Standard deviation by which each parameter may drift within a second (ratio to nominal per √s).
+    pub drift_per_root_s: f64,
+    /// How long a Kalman filter runs before the particles are drawn (s).
+    pub warm_up_s: f64,
+}
+
+impl Default for ParticlePlan {
+    /// 2000 particles from the optimal density after two seconds, and a drift of 1 % in four seconds.
+    fn default() -> Self {
+        Self { settings: ParticleSettings::default(), drift_per_root_s: 0.005, warm_up_s: 2.0 }
+    }
+}
+
+/// A particle filter with its estimates as the other filters have them.
+#[derive(Debug)]
+pub struct Particles {
+    filter: WarmStartedParticleFilter<StructureModel>,
+    /// entries of the state before the parameters
+    first: usize,
+    mean: DVector<f64>,
+    /// of the state of the particles
+    covariance: DMatrix<f64>,
+    /// nothing is told of innovations (N_0)
+    innovation: Vec<f64>,
+    /// sum of the effective sizes as shares of all particles, and how many were summed
+    effective: (f64, u64),
+}
+
+impl Particles {
+    fn step(&mut self, frame: Frame<'_>) -> Result<Step, FilterError> {
+        let step = self.filter.step(frame)?;
+        if let Some(particles) = self.filter.particles() {
+            self.effective.0 += step.effective_size / particles.settings().particles as f64;
+            self.effective.1 += 1;
+        }
+        self.take_estimates();
+        Ok(Step {
+            normalised_innovation_squared: 0.0,
+            log_evidence: step.log_evidence,
+            used_channels: step.used_channels,
+            rejected_channels: 0,
+            limited_states: 0,
+            bounded_variances: 0,
+            noise_phase: self.filter.kalman().noise().phase,
+            training_ended: false,
+            training_overdue: false,
+            training_restarted: false,
+        })
+    }
+
+    /// Returns the mean share of the particles that counted before they were drawn anew; `None` before the first step of any.
+    #[must_use]
+    pub fn effective_share(&self) -> Option<f64> {
+        let (sum, count) = self.effective;
+        (count > 0).then(|| sum / count as f64)
+    }
+
+    fn take_estimates(&mut self) {
+        self.mean.copy_from_slice(&self.filter.mean()[self.first..]);
+        self.filter.covariance_to(&mut self.covariance);
+    }
 }
 
 impl Estimator {
@@ -29,6 +101,31 @@ impl Estimator {
         })
     }
 
+    /// Makes a particle filter for the model of the structure, at its prior.
+    ///
+    /// # Errors
+    /// When a setting lies outside its range.
+    pub fn with_particles(structure: &Structure, plan: &ParticlePlan) -> Result<Self, FilterError> {
+        let model = structure.model();
+        let (parameters, channels) = (model.parameter_len(), structure.observation_channels().len());
+        let first = model.state_len() - parameters;
+        let drift_std = DVector::repeat(parameters, plan.drift_per_root_s * structure.step_s().sqrt());
+        let warm_steps = (plan.warm_up_s * structure.sampling_rate_hz()).round() as u64;
+        let settings = structure.filter_settings()?;
+        let filter = WarmStartedParticleFilter::new(model, settings, drift_std, plan.settings.clone(), warm_steps)?;
+        let len = filter.state_len();
+        let mut particles = Particles {
+            first,
+            mean: DVector::zeros(parameters),
+            covariance: DMatrix::zeros(len, len),
+            innovation: vec![f64::NAN; channels],
+            effective: (0.0, 0),
+            filter,
+        };
+        particles.take_estimates();
+        Ok(Self::Particles(Box::new(particles)))
+    }
+
     /// Takes one frame.
     ///
     /// # Errors
@@ -37,6 +134,7 @@ impl Estimator {
         match self {
             Self::Filter(filter) => filter.step(frame),
             Self::Classes(bank) => bank.step(frame),
+            Self::Particles(particles) => particles.step(frame),
         }
     }
 
@@ -51,6 +149,11 @@ impl Estimator {
                 Ok(())
             }
             Self::Classes(bank) => bank.restart(),
+            Self::Particles(particles) => {
+                let restarted = particles.filter.restart();
+                particles.take_estimates();
+                restarted
+            }
         }
     }
 
@@ -59,6 +162,10 @@ impl Estimator {
         match self {
             Self::Filter(filter) => filter.forget_motion(),
             Self::Classes(bank) => bank.forget_motion(),
+            Self::Particles(particles) => {
+                particles.filter.forget_motion();
+                particles.take_estimates();
+            }
         }
     }
 
@@ -68,6 +175,7 @@ impl Estimator {
         match self {
             Self::Filter(filter) => filter.settings(),
             Self::Classes(bank) => bank.template(),
+            Self::Particles(particles) => particles.filter.kalman().settings(),
         }
     }
 
@@ -77,6 +185,7 @@ impl Estimator {
         match self {
             Self::Filter(filter) => &filter.mean().as_slice()[self.first()..],
             Self::Classes(bank) => bank.parameter_mean().as_slice(),
+            Self::Particles(particles) => particles.mean.as_slice(),
         }
     }
 
@@ -86,6 +195,7 @@ impl Estimator {
         match self {
             Self::Filter(filter) => filter.covariance()[(self.first() + i, self.first() + j)],
             Self::Classes(bank) => bank.parameter_covariance()[(i, j)],
+            Self::Particles(particles) => particles.covariance[(particles.first + i, particles.first + j)],
         }
     }
 
@@ -102,6 +212,7 @@ impl Estimator {
         match self {
             Self::Filter(filter) => filter.noise(),
             Self::Classes(bank) => bank.noise(),
+            Self::Particles(particles) => particles.filter.kalman().noise(),
         }
     }
 
@@ -111,15 +222,17 @@ impl Estimator {
         match self {
             Self::Filter(filter) => filter.outliers(),
             Self::Classes(bank) => bank.outliers(),
+            Self::Particles(_) => None,
         }
     }
 
-    /// Returns the innovation of the last step, NaN where a channel was missing or rejected.
+    /// Returns the innovation of the last step, NaN where a channel was missing or rejected, and of particles.
     #[must_use]
     pub fn innovation(&self) -> &[f64] {
         match self {
             Self::Filter(filter) => filter.innovation().as_slice(),
             Self::Classes(bank) => bank.innovation().as_slice(),
+            Self::Particles(particles) => &particles.innovation,
         }
     }
 
@@ -127,7 +240,7 @@ impl Estimator {
     #[must_use]
     pub fn classes(&self) -> Option<&ClassBank<StructureClasses>> {
         match self {
-            Self::Filter(_) => None,
+            Self::Filter(_) | Self::Particles(_) => None,
             Self::Classes(bank) => Some(bank),
         }
     }
@@ -135,8 +248,9 @@ impl Estimator {
     /// Returns the number of entries of the state before the parameters.
     fn first(&self) -> usize {
         match self {
-            Self::Filter(filter) => filter.mean().len() - spandrel_filter::ProcessModel::parameter_len(filter.model()),
+            Self::Filter(filter) => filter.mean().len() - filter.model().parameter_len(),
             Self::Classes(bank) => bank.motion().len(),
+            Self::Particles(particles) => particles.first,
         }
     }
 }

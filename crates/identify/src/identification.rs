@@ -103,10 +103,23 @@ impl Identification {
     /// When the filter refuses its settings, or a name cannot be a key.
     pub fn new(structure: &Structure, source: impl Into<String>) -> Result<Self, IdentifyError> {
         let refused = |source| IdentifyError::Filter { structure: structure.name().to_owned(), source };
+        let estimator = Estimator::new(structure).map_err(refused)?;
+        Self::with_estimator(structure, source, estimator)
+    }
+
+    /// As [`Identification::new`], with an estimator of the same structure in the place of what its file asks for.
+    ///
+    /// # Errors
+    /// When a name cannot be a key, or the band limit is refused.
+    pub fn with_estimator(
+        structure: &Structure,
+        source: impl Into<String>,
+        estimator: Estimator,
+    ) -> Result<Self, IdentifyError> {
+        let refused = |source| IdentifyError::Filter { structure: structure.name().to_owned(), source };
         let named = |name: &str| {
             Name::new(name).map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })
         };
-        let estimator = Estimator::new(structure).map_err(refused)?;
         let channels = structure.channel_count();
         let band_limit = structure
             .band_limit()

@@ -21,7 +21,7 @@ mod screening;
 pub mod shell;
 
 pub use error::IdentifyError;
-pub use estimator::Estimator;
+pub use estimator::{Estimator, ParticlePlan, Particles};
 pub use identification::{Identification, Input, Output};
 pub use pool::FilterPool;
 pub use shell::{ESTIMATES_KEPT, IdentifyService, log_event};

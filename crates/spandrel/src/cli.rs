@@ -57,7 +57,10 @@ pub enum Command {
     #[command(after_help = "Example: spandrel replay week-12.csv --structure tower.toml --speed 10")]
     Replay(ReplayArguments),
     /// Identify a recording without a bus, with the same cores and to the same bits.
-    #[command(after_help = "Example: spandrel estimate tower.toml --record week-12.csv --output estimates.csv")]
+    #[command(
+        after_help = "Examples: spandrel estimate tower.toml --record week-12.csv --output estimates.csv\n          \
+                      spandrel estimate tower.toml --record week-12.csv --filter particle --particles 5000"
+    )]
     Estimate(EstimateArguments),
     /// Learn the sound values of the parameters from one or more recordings.
     #[command(
@@ -209,9 +212,56 @@ pub struct EstimateArguments {
     /// Sound values for alert rules that would learn them.
     #[arg(long, value_name = "BASELINE.json")]
     pub baseline: Option<PathBuf>,
+    /// What identifies: the filter of the services, or particles, which are slow and take nothing for Gaussian.
+    #[arg(long, value_enum, default_value_t = FilterChoice::Kalman)]
+    pub filter: FilterChoice,
+    #[command(flatten)]
+    pub particle: ParticleArguments,
     /// End with one JSON object.
     #[arg(long)]
     pub json: bool,
+}
+
+/// The filters of `spandrel estimate`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FilterChoice {
+    /// The adaptive extended Kalman filter, or the bank of model classes, as the structure file says.
+    Kalman,
+    /// A particle filter of the model with all parameters.
+    Particle,
+}
+
+/// Where particles are drawn from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum DensityChoice {
+    /// Near the coming datum, by a Kalman filter of each particle.
+    Optimal,
+    /// From the model alone.
+    Prior,
+}
+
+/// How particles are used.
+#[derive(Debug, Clone, Copy, Args)]
+#[command(next_help_heading = "With --filter particle")]
+pub struct ParticleArguments {
+    /// Number of particles.
+    #[arg(long, default_value_t = 2000, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=10_000_000))]
+    pub particles: u32,
+    /// Where particles are drawn from.
+    #[arg(long, value_enum, default_value_t = DensityChoice::Optimal)]
+    pub density: DensityChoice,
+    /// Standard deviation by which each parameter may drift within a second, ratio to nominal per root of a second.
+    #[arg(long, default_value_t = 0.005, value_name = "RATIO", value_parser = not_negative)]
+    pub drift: f64,
+    /// Share of a particle's own state at a resampling, the rest being drawn from all of them; 1 for none.
+    #[arg(long, default_value_t = 1.0, value_name = "SHARE", value_parser = share)]
+    pub kernel: f64,
+    /// Seconds for which a Kalman filter runs before the particles are drawn.
+    #[arg(long, default_value_t = 2.0, value_name = "SECONDS", value_parser = not_negative)]
+    pub warm_up: f64,
+    /// Seed of all draws.
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
 }
 
 #[derive(Debug, Args)]
@@ -280,6 +330,20 @@ fn seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         Ok(_) | Err(_) => Err("must be a positive number of seconds".to_owned()),
+    }
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value <= 1.0 => Ok(value),
+        Ok(_) | Err(_) => Err("must be above 0, up to 1".to_owned()),
+    }
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
+        Ok(_) | Err(_) => Err("must be a number, 0 or more".to_owned()),
     }
 }
 

@@ -1,10 +1,10 @@
 //! The cores of the services one after the other, without a bus: the same numbers, to the bit.
 
 use crate::error::AppError;
-use crate::summary::Collector;
+use crate::summary::{Collector, Samples};
 use spandrel_alert::{Baseline, Watch};
 use spandrel_bus::EstimateBlock;
-use spandrel_identify::{Identification, Input, Output};
+use spandrel_identify::{Estimator, Identification, Input, Output};
 use spandrel_ingest::{Alignment, IngestError, Layout};
 use spandrel_record::RecordError;
 use spandrel_sensor::{Clocks, Cutter, NodePlan, Row, SensorError};
@@ -12,6 +12,9 @@ use spandrel_structure::Structure;
 
 /// Samples per block: long enough that blocks cost nothing, short enough to stay in the cache.
 const BLOCK_SAMPLES: u64 = 256;
+
+/// What alignment calls a sample that a frame had to do without.
+const MISSING: &str = "missing-samples";
 
 /// Identifies rows of a record, and decides on alerts.
 ///
@@ -21,6 +24,7 @@ const BLOCK_SAMPLES: u64 = 256;
 /// When the structure cannot be identified, the record cannot be read, or `take` fails.
 pub fn identify(
     structure: &Structure,
+    identification: Identification,
     rows: impl Iterator<Item = Result<Row, RecordError>>,
     baseline: Option<&Baseline>,
     mut take: impl FnMut(&EstimateBlock) -> Result<(), AppError>,
@@ -30,9 +34,11 @@ pub fn identify(
     let nodes = NodePlan::of(structure, Clocks::Right).map_err(SensorError::from)?;
     let mut chain = Chain {
         alignment: Alignment::new(layout, "ingest".to_owned(), 1),
-        identification: Identification::new(structure, "identify")?,
+        collector: collector_of(&identification),
+        identification,
         watch: Watch::new(structure, baseline)?,
-        collector: collector(structure)?,
+        channels: structure.channels().map(|channel| channel.name().to_owned()).collect(),
+        samples: Samples::default(),
         frames: Vec::new(),
         outputs: Vec::new(),
         alerts: Vec::new(),
@@ -50,6 +56,12 @@ pub fn identify(
     for (node, block) in samples {
         chain.handle(node, block, &mut take)?;
     }
+    chain.samples.discarded = chain.alignment.counts().drops();
+    chain.samples.discarded.remove(MISSING); // counted by channel
+    chain.collector.take_samples(chain.samples);
+    if let Estimator::Particles(particles) = chain.identification.estimator() {
+        chain.collector.take_effective_share(particles.effective_share());
+    }
     Ok(chain.collector)
 }
 
@@ -58,10 +70,13 @@ pub fn identify(
 /// # Errors
 /// When the structure cannot be identified.
 pub fn collector(structure: &Structure) -> Result<Collector, AppError> {
-    let identification = Identification::new(structure, "identify")?;
+    Ok(collector_of(&Identification::new(structure, "identify")?))
+}
+
+fn collector_of(identification: &Identification) -> Collector {
     let parameters = identification.parameter_names().map(ToString::to_string).collect();
     let noise = identification.noise_names().iter().map(ToString::to_string).collect();
-    Ok(Collector::new(parameters, noise))
+    Collector::new(parameters, noise)
 }
 
 struct Chain {
@@ -69,6 +84,8 @@ struct Chain {
     identification: Identification,
     watch: Watch,
     collector: Collector,
+    channels: Vec<String>,
+    samples: Samples,
     frames: Vec<spandrel_bus::FrameBlock>,
     outputs: Vec<Output>,
     alerts: Vec<spandrel_alert::Alert>,
@@ -83,6 +100,7 @@ impl Chain {
     ) -> Result<(), AppError> {
         self.alignment.handle(spandrel_ingest::Input::Samples { node, block }, &mut self.frames);
         for frames in self.frames.drain(..) {
+            self.samples.take_frames(&self.channels, &frames);
             self.identification.handle(Input::Frames(frames), &mut self.outputs);
         }
         for output in self.outputs.drain(..) {

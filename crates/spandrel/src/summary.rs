@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use spandrel_alert::Alert;
-use spandrel_bus::{AlertMessage, AlertState, EstimateBlock};
+use spandrel_bus::{AlertMessage, AlertState, EstimateBlock, FrameBlock};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
@@ -17,6 +17,36 @@ pub struct Summary {
     pub alerts: Vec<AlertSummary>,
     /// The last estimate of each noise level (variance, unit² of its source).
     pub noise: BTreeMap<String, Level>,
+    /// Mean of the normalised innovation squared per channel used, 1 when the model fits; none without innovations.
+    pub misfit: Option<f64>,
+    /// What was wrong with the samples; none where the services have counted it in their status.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub samples: Option<Samples>,
+    /// Of particles, the mean share that counted before they were drawn anew.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub effective_share: Option<f64>,
+}
+
+/// What was wrong with the samples of a record.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct Samples {
+    /// Samples that are not there, of each channel that lacks some; those that were discarded are among them.
+    pub missing: BTreeMap<String, u64>,
+    /// Samples that were discarded, by reason as in the status of ingest.
+    pub discarded: BTreeMap<String, u64>,
+}
+
+impl Samples {
+    /// Takes the frames of a structure with these channels.
+    pub fn take_frames(&mut self, channels: &[String], block: &FrameBlock) {
+        for (_, values) in block.iter() {
+            for (channel, value) in channels.iter().zip(values) {
+                if value.is_nan() {
+                    *self.missing.entry(channel.clone()).or_default() += 1;
+                }
+            }
+        }
+    }
 }
 
 /// Mean and standard deviation.
@@ -52,18 +82,49 @@ pub struct Collector {
     frames: u64,
     last: Option<spandrel_bus::Estimate>,
     alerts: Vec<(i64, AlertSummary)>,
+    /// sum of the normalised innovations squared, and of the channels used
+    misfit: (f64, f64),
+    samples: Option<Samples>,
+    effective_share: Option<f64>,
 }
 
 impl Collector {
     /// Starts empty; names in the order of the estimates.
     pub fn new(parameters: Vec<String>, noise: Vec<String>) -> Self {
-        Self { parameters, noise, t0_ns: None, frames: 0, last: None, alerts: Vec::new() }
+        Self {
+            parameters,
+            noise,
+            t0_ns: None,
+            frames: 0,
+            last: None,
+            alerts: Vec::new(),
+            misfit: (0.0, 0.0),
+            samples: None,
+            effective_share: None,
+        }
+    }
+
+    /// Takes the mean share of particles that counted.
+    pub fn take_effective_share(&mut self, share: Option<f64>) {
+        self.effective_share = share;
+    }
+
+    /// Takes what was wrong with the samples.
+    pub fn take_samples(&mut self, samples: Samples) {
+        self.samples = Some(samples);
     }
 
     /// Takes estimates in order.
     pub fn take_estimates(&mut self, block: &EstimateBlock) {
         self.t0_ns.get_or_insert(block.t0_ns);
         self.frames += block.estimates.len() as u64;
+        for estimate in &block.estimates {
+            // particles have no innovations
+            if estimate.innovations.iter().any(|innovation| innovation.is_finite()) {
+                self.misfit.0 += estimate.normalised_innovation_squared;
+                self.misfit.1 += f64::from(estimate.used_channels);
+            }
+        }
         if let Some(last) = block.estimates.last() {
             self.last = Some(last.clone());
         }
@@ -137,7 +198,17 @@ impl Collector {
             .alerts
             .into_iter()
             .map(|(time_ns, alert)| AlertSummary { time_s: time_ns.saturating_sub(t0_ns) as f64 * 1e-9, ..alert });
-        Summary { frames: self.frames, parameters, alerts: alerts.collect(), noise }
+        let (sum, channels) = self.misfit;
+        let misfit = (channels > 0.0).then(|| sum / channels);
+        Summary {
+            frames: self.frames,
+            parameters,
+            alerts: alerts.collect(),
+            noise,
+            misfit,
+            samples: self.samples,
+            effective_share: self.effective_share,
+        }
     }
 }
 
@@ -146,6 +217,20 @@ impl Summary {
     pub fn text(&self) -> String {
         let mut text = format!("{} frames identified\n", self.frames);
         // writing to a String does not fail
+        if let Some(Samples { missing, discarded }) = &self.samples {
+            for (what, counts) in [("missing samples", missing), ("discarded", discarded)] {
+                if !counts.is_empty() {
+                    let counts: Vec<String> = counts.iter().map(|(name, count)| format!("{name} {count}")).collect();
+                    let _ = writeln!(text, "  {what}: {}", counts.join(", "));
+                }
+            }
+        }
+        if let Some(share) = self.effective_share {
+            let _ = writeln!(text, "  {:.0} % of the particles counted on average", 100.0 * share);
+        }
+        if let Some(misfit) = self.misfit {
+            let _ = writeln!(text, "  normalised innovation squared {misfit:.2} per channel (1 when the model fits)");
+        }
         for (name, level) in &self.parameters {
             let _ = writeln!(text, "  {name:<24} {:.4} ± {:.4}", level.mean, level.std);
         }

@@ -162,6 +162,12 @@ impl Structure {
         self.band_limit
     }
 
+    /// Tells whether outliers are screened.
+    #[must_use]
+    pub fn screens_outliers(&self) -> bool {
+        self.plan.outliers.is_some()
+    }
+
     /// Returns how samples become frames.
     #[must_use]
     pub fn ingest(&self) -> IngestSettings {

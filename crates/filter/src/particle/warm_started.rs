@@ -15,7 +15,12 @@ use serde::{Deserialize, Serialize};
 #[expect(clippy::large_enum_variant, reason = "one of them exists per filter, and it lives in a checkpoint only")]
 pub enum WarmStartState {
     /// The Kalman filter runs.
-    Warming(FilterState),
+    Warming {
+        /// The Kalman filter.
+        kalman: FilterState,
+        /// Frames that it still takes.
+        left: u64,
+    },
     /// The particles run, with the noise levels (N_ψ) that the Kalman filter had found.
     Running {
         /// The particles.
@@ -36,7 +41,8 @@ pub struct WarmStartedParticleFilter<M> {
     prior: GaussianStart,
     noise_levels: DVector<f64>,
     warm_steps: u64,
-    warming: bool,
+    /// frames that the Kalman filter still takes
+    left: u64,
 }
 
 impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilter<M> {
@@ -59,7 +65,7 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         let particles = ParticleFilter::new(system, particle_settings, prior.clone())?;
         let kalman = ExtendedKalmanFilter::new(model, settings)?;
         let noise_levels = kalman.noise().mean.clone();
-        Ok(Self { kalman, particles, prior, noise_levels, warm_steps, warming: warm_steps > 0 })
+        Ok(Self { kalman, particles, prior, noise_levels, warm_steps, left: warm_steps })
     }
 
     /// Goes back to the prior.
@@ -68,9 +74,25 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     /// None for a filter that could be made: those of its parts are passed on.
     pub fn restart(&mut self) -> Result<(), FilterError> {
         self.kalman.restart();
-        self.warming = self.warm_steps > 0;
+        self.left = self.warm_steps;
         self.take_noise_levels(self.kalman.noise().mean.clone())?;
         self.particles.restart_from(self.prior.clone())
+    }
+
+    /// Forgets the motion and keeps mean and covariance of the parameters, and the noise levels: after a gap too long to be
+    /// bridged. The Kalman filter runs again for as long as at the start, one frame at least.
+    pub fn forget_motion(&mut self) {
+        if self.left == 0 {
+            let n = self.kalman.mean().len();
+            let len = self.particles.mean().len();
+            let mut covariance = DMatrix::zeros(len, len);
+            self.particles.covariance_to(&mut covariance);
+            let mean = DVector::from_column_slice(&self.particles.mean().as_slice()[..n]);
+            let known = self.kalman.state().clone();
+            self.kalman.continue_from(&known, mean, covariance.view((0, 0), (n, n)).into_owned(), Some);
+        }
+        self.kalman.forget_motion();
+        self.left = self.warm_steps.max(1);
     }
 
     /// Takes one frame.
@@ -81,14 +103,14 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     /// When the frame does not fit the model, which leaves the filter as it was, or when the filter has diverged and must
     /// be restarted.
     pub fn step(&mut self, frame: Frame<'_>) -> Result<ParticleStep, FilterError> {
-        if !self.warming {
+        if self.left == 0 {
             return self.particles.step(frame);
         }
         let step = self.kalman.step(frame)?;
-        if self.kalman.steps() >= self.warm_steps {
+        self.left -= 1;
+        if self.left == 0 {
             self.take_noise_levels(self.kalman.noise().mean.clone())?;
             self.particles.restart_from(self.particles.model().start_after(&self.kalman))?;
-            self.warming = false;
         }
         Ok(ParticleStep {
             log_evidence: step.log_evidence,
@@ -101,7 +123,7 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
 
     /// Returns the particle filter, or `None` while the Kalman filter runs.
     pub fn particles(&mut self) -> Option<&mut ParticleFilter<ExcitedSystem<M>>> {
-        (!self.warming).then_some(&mut self.particles)
+        (self.left == 0).then_some(&mut self.particles)
     }
 
     /// Returns the Kalman filter; it stands still once the particles run.
@@ -112,18 +134,23 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     /// Returns the mean of the state (n), from whichever filter runs.
     pub fn mean(&self) -> &[f64] {
         let n = self.kalman.mean().len();
-        if self.warming { self.kalman.mean().as_slice() } else { &self.particles.mean().as_slice()[..n] }
+        if self.left > 0 { self.kalman.mean().as_slice() } else { &self.particles.mean().as_slice()[..n] }
     }
 
     /// Returns the standard deviation of one entry of the state, from whichever filter runs; `None` beyond its end.
     pub fn std(&self, component: usize) -> Option<f64> {
         if component >= self.kalman.mean().len() {
             None
-        } else if self.warming {
+        } else if self.left > 0 {
             Some(self.kalman.covariance()[(component, component)].max(0.0).sqrt())
         } else {
             Some(self.particles.std()[component])
         }
+    }
+
+    /// Returns the length of the state of the particles: that of the model, and the excitation of one with a direct term.
+    pub fn state_len(&self) -> usize {
+        self.particles.mean().len()
     }
 
     /// Writes the covariance of the filter that runs.
@@ -131,7 +158,7 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     /// `out`: as long and wide as the state of the particles, which holds the excitation behind the state of a model with
     /// a direct term; those entries are zero while the Kalman filter runs.
     pub fn covariance_to(&self, out: &mut DMatrix<f64>) {
-        if self.warming {
+        if self.left > 0 {
             let n = self.kalman.mean().len();
             out.fill(0.0);
             out.view_mut((0, 0), (n, n)).copy_from(self.kalman.covariance());
@@ -142,8 +169,8 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
 
     /// Returns the state for a checkpoint.
     pub fn state(&self) -> WarmStartState {
-        if self.warming {
-            WarmStartState::Warming(self.kalman.state().clone())
+        if self.left > 0 {
+            WarmStartState::Warming { kalman: self.kalman.state().clone(), left: self.left }
         } else {
             WarmStartState::Running {
                 particles: self.particles.state().clone(),
@@ -158,14 +185,14 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     /// When the state does not fit the model or the settings.
     pub fn restore(&mut self, state: WarmStartState) -> Result<(), FilterError> {
         match state {
-            WarmStartState::Warming(state) => {
-                self.kalman.restore(state)?;
-                self.warming = true;
+            WarmStartState::Warming { kalman, left } => {
+                self.kalman.restore(kalman)?;
+                self.left = left.max(1);
             }
             WarmStartState::Running { particles, noise_levels } => {
                 self.particles.restore(particles)?;
                 self.take_noise_levels(noise_levels)?;
-                self.warming = false;
+                self.left = 0;
             }
         }
         Ok(())

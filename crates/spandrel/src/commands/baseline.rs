@@ -6,6 +6,7 @@ use crate::error::AppError;
 use crate::{offline, record_source};
 use spandrel_alert::{Baseline, RecordSummary};
 use spandrel_bus::Phase;
+use spandrel_identify::Identification;
 use spandrel_sensor::recorded_rows;
 use spandrel_structure::Structure;
 use std::fmt::Write as _;
@@ -23,7 +24,8 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
     for path in &arguments.record {
         let recording = record_source::open(&structure, path)?;
         let mut frames: Vec<Vec<(f64, f64)>> = Vec::new();
-        offline::identify(&structure, recorded_rows(recording, 0), None, |block| {
+        let identification = Identification::new(&structure, "identify")?;
+        offline::identify(&structure, identification, recorded_rows(recording, 0), None, |block| {
             for (number, estimate) in block.iter() {
                 if number >= skipped && estimate.flags.phase == Phase::Working {
                     let std = |index| estimate.variance(index).unwrap_or(0.0).max(0.0).sqrt();

@@ -1,14 +1,20 @@
 //! `spandrel estimate`: identification of a recording without a bus.
 
 use super::{print, progress, refuse_overwriting};
-use crate::cli::EstimateArguments;
+use crate::cli::{DensityChoice, EstimateArguments, FilterChoice, ParticleArguments};
 use crate::error::AppError;
 use crate::{offline, record_source};
 use spandrel_alert::Baseline;
 use spandrel_bus::EstimateBlock;
+use spandrel_filter::{ImportanceDensity, ParticleSettings};
+use spandrel_identify::{Estimator, Identification, IdentifyError, ParticlePlan};
 use spandrel_record::EstimateWriter;
 use spandrel_sensor::recorded_rows;
 use spandrel_structure::Structure;
+use tracing::warn;
+
+/// With more states and parameters, thousands of particles are too few.
+const MOST_STATES: usize = 10;
 
 /// Identifies the recording, writes the estimates if asked, and prints the summary.
 ///
@@ -25,7 +31,9 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
     let names: Vec<&str> = structure.parameters().iter().map(|parameter| parameter.name()).collect();
     let mut writer = arguments.output.as_deref().map(|path| EstimateWriter::create(path, &names)).transpose()?;
     let bar = progress::bar("identifying", None);
-    let collector = offline::identify(&structure, recorded_rows(recording, 0), baseline.as_ref(), |block| {
+    let identification = identification(&structure, arguments)?;
+    let rows = recorded_rows(recording, 0);
+    let collector = offline::identify(&structure, identification, rows, baseline.as_ref(), |block| {
         bar.inc(block.estimates.len() as u64);
         match &mut writer {
             Some(writer) => write(writer, block),
@@ -38,6 +46,43 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
     }
     let summary = collector.finish();
     print(&if arguments.json { summary.json() } else { summary.text() })
+}
+
+/// Makes the filter that is asked for.
+fn identification(structure: &Structure, arguments: &EstimateArguments) -> Result<Identification, AppError> {
+    const ID: &str = "identify";
+    match arguments.filter {
+        FilterChoice::Kalman => Ok(Identification::new(structure, ID)?),
+        FilterChoice::Particle => {
+            let threads = std::thread::available_parallelism().map_or(1, std::num::NonZeroUsize::get);
+            let ParticleArguments { particles, density, drift, kernel, warm_up, seed } = arguments.particle;
+            let settings = ParticleSettings {
+                particles: particles as usize,
+                density: match density {
+                    DensityChoice::Optimal => ImportanceDensity::Optimal,
+                    DensityChoice::Prior => ImportanceDensity::Prior,
+                },
+                kernel,
+                seed,
+                threads,
+                ..ParticleSettings::default()
+            };
+            if structure.has_classes() || structure.screens_outliers() {
+                warn!("particles take all parameters singly and every sample: [classes] and [outliers] are not used");
+            }
+            let states = 2 * structure.degrees_of_freedom().len() + structure.parameters().len();
+            if states > MOST_STATES {
+                warn!(
+                    "{states} states and parameters: the particles needed grow exponentially with them, and with too few the \
+                     intervals are much too narrow; compare several --seed, and see docs/theory/particle-filter.md"
+                );
+            }
+            let plan = ParticlePlan { settings, drift_per_root_s: drift, warm_up_s: warm_up };
+            let refused = |source| IdentifyError::Filter { structure: structure.name().to_owned(), source };
+            let estimator = Estimator::with_particles(structure, &plan).map_err(refused)?;
+            Ok(Identification::with_estimator(structure, ID, estimator)?)
+        }
+    }
 }
 
 fn write(writer: &mut EstimateWriter, block: &EstimateBlock) -> Result<(), AppError> {

@@ -1,0 +1,115 @@
+//! `spandrel estimate`, the built binary: what it says of a recording, and the particle filter beside the Kalman filter.
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a helper of tests may fail them")]
+
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn spandrel(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_spandrel")).args(arguments).output().unwrap()
+}
+
+fn example(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name)
+}
+
+fn simulate(structure: &Path, record: &Path, seconds: &str) {
+    let arguments =
+        ["simulate", structure.to_str().unwrap(), "--duration", seconds, "--record", record.to_str().unwrap()];
+    let output = spandrel(&arguments);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[track_caller]
+fn estimate(structure: &Path, record: &Path, more: &[&str]) -> Output {
+    let mut arguments = vec!["estimate", structure.to_str().unwrap(), "--record", record.to_str().unwrap()];
+    arguments.extend(more);
+    let output = spandrel(&arguments);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+#[track_caller]
+fn summary(structure: &Path, record: &Path, more: &[&str]) -> Value {
+    let output = estimate(structure, record, &[more, &["--json"]].concat());
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+#[test]
+fn missing_and_discarded_samples_and_the_misfit_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
+    simulate(&structure, &record, "40");
+    let sound = summary(&structure, &record, &[]);
+    assert_eq!(sound["samples"]["missing"], serde_json::json!({}));
+    let misfit = sound["misfit"].as_f64().unwrap();
+    // the start-up aid distrusts the sensors for the first seconds
+    assert!((0.6..1.1).contains(&misfit), "{misfit}");
+
+    // floor-3 is silent for 50 samples, and floor-5 reports 1e9 m/s² twice
+    let text = std::fs::read_to_string(&record).unwrap();
+    let header = text.lines().find(|line| line.contains("floor-3")).unwrap();
+    let column = |name: &str| header.split(',').position(|cell| cell.starts_with(name)).unwrap();
+    let (third, fifth) = (column("floor-3"), column("floor-5"));
+    let first = text.lines().position(|line| line == header).unwrap() + 1;
+    let spoilt: Vec<String> = text
+        .lines()
+        .enumerate()
+        .map(|(index, line)| {
+            let mut cells: Vec<&str> = line.split(',').collect();
+            if (first + 1000..first + 1050).contains(&index) {
+                cells[third] = "";
+            }
+            if [first + 2000, first + 2001].contains(&index) {
+                cells[fifth] = "1e9";
+            }
+            cells.join(",")
+        })
+        .collect();
+    let spoilt_record = folder.path().join("spoilt.csv");
+    std::fs::write(&spoilt_record, spoilt.join("\n") + "\n").unwrap();
+    let told = summary(&structure, &spoilt_record, &[]);
+    assert_eq!(told["samples"]["missing"], serde_json::json!({ "floor-3": 50, "floor-5": 2 }));
+    assert_eq!(told["samples"]["discarded"], serde_json::json!({ "out-of-range-values": 2 }));
+    let text = String::from_utf8(estimate(&structure, &spoilt_record, &[]).stdout).unwrap();
+    for part in ["missing samples: floor-3 50, floor-5 2", "discarded: out-of-range-values 2", "per channel (1 when"] {
+        assert!(text.contains(part), "{part} is not in\n{text}");
+    }
+}
+
+#[test]
+fn particles_agree_with_the_kalman_filter_where_there_are_few_states() {
+    let folder = tempfile::tempdir().unwrap();
+    let (structure, record) = (example("hysteretic-oscillator.toml"), folder.path().join("oscillator.csv"));
+    simulate(&structure, &record, "30");
+    let level = |summary: &Value, name: &str| {
+        let parameter = &summary["parameters"][name];
+        (parameter["mean"].as_f64().unwrap(), parameter["std"].as_f64().unwrap())
+    };
+    let kalman = summary(&structure, &record, &[]);
+    for seed in ["1", "2", "3"] {
+        let options = ["--filter", "particle", "--particles", "500", "--seed", seed];
+        let particle = summary(&structure, &record, &options);
+        assert!(particle["misfit"].is_null() && particle["effective_share"].as_f64().unwrap() > 0.1);
+        for name in ["theta-1", "theta-2", "theta-4"] {
+            let ((mean, std), (yardstick, its_std)) = (level(&kalman, name), level(&particle, name));
+            println!("seed {seed}: {name} {mean:.4} ± {std:.4}, particles {yardstick:.4} ± {its_std:.4}");
+            assert!((mean - yardstick).abs() < 3.0 * std.hypot(its_std), "seed {seed}: {name} {mean} {yardstick}");
+        }
+        if seed == "1" {
+            assert_eq!(particle, summary(&structure, &record, &options), "the same seed gives the same numbers");
+        }
+    }
+}
+
+#[test]
+fn particles_of_a_large_model_come_with_a_warning() {
+    let folder = tempfile::tempdir().unwrap();
+    let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
+    simulate(&structure, &record, "2");
+    let output = estimate(&structure, &record, &["--filter", "particle", "--particles", "10"]);
+    let log = String::from_utf8(output.stderr).unwrap();
+    assert!(log.contains("15 states and parameters"), "{log}");
+    let output = spandrel(&["estimate", "demo.toml", "--record", "demo.csv", "--particles", "1"]);
+    assert_eq!(output.status.code(), Some(2));
+}
