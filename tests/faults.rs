@@ -324,6 +324,46 @@ async fn a_sensor_that_dies_is_missing_until_it_comes_back() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_block_lost_by_a_node_that_keeps_none_costs_no_other_samples() {
+    const LOST: usize = 30;
+    let site = Site::with(&two_storeys("[ingest]\nlateness-s = 3\n"));
+    let mut record = site.simulate(8.0);
+    let _services = site.run();
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let keys = site.keys();
+    let drops = Drops::watch(&bus, &keys).await;
+    let mut reader = EstimateReader::join(&bus, &keys).await;
+    let mut sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
+    // as a hand-written node puts its samples: nobody can ask for them again
+    let bare = sensors.remove("floor-1");
+    let key = keys.samples(&Name::new("floor-1").unwrap());
+    let rows = |block: usize| 10 * block..10 * block + 10;
+    let blocks: Vec<Vec<u8>> = (0..80)
+        .map(|block| {
+            let mut put = bare.block(&record, rows(block));
+            put.header.sequence = rows(block).start as u64;
+            put.encode().unwrap()
+        })
+        .collect();
+    drop(bare);
+    let start = tokio::time::Instant::now();
+    for (block, payload) in blocks.into_iter().enumerate() {
+        tokio::time::sleep_until(start + std::time::Duration::from_millis(100 * block as u64)).await;
+        sensors.put(rows(block)).await;
+        if block != LOST {
+            put_raw(&bus, &key, SAMPLES, payload).await;
+        }
+    }
+    // the last frames wait for what may still come
+    let streamed = reader.read_frames(750).await;
+    record.remove("floor-1", rows(LOST)).save_as("without.csv");
+    let offline = site.estimate(&record);
+    assert_same_bits("the services", &offline.parameters, &offline.frames[..750], &streamed[..750]);
+    drops.expect(Service::Ingest, "lost-items", 10).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_sensor_that_falls_silent_is_waited_for_as_long_as_declared() {
     let site = Site::with(&two_storeys("[ingest]\nlateness-s = 0.5\n"));
     let record = site.simulate(4.0);

@@ -52,7 +52,8 @@ pub enum Delivery<B> {
 pub enum Action<B> {
     /// Hand this to the reader.
     Deliver(Delivery<B>),
-    /// Ask the source, and report with [`Follower::answered`] or [`Follower::unanswered`]; one at a time.
+    /// Ask the source, and report with [`Follower::answered`], [`Follower::unanswered`] or [`Follower::nobody_there`]; one
+    /// at a time.
     Fetch {
         /// What to ask for.
         range: QueryRange,
@@ -87,6 +88,9 @@ pub struct FollowCounts {
 const HELD_BLOCKS: usize = 256;
 /// Fetches without an answer after which missing items are given up.
 const MAX_FAILURES: u32 = 8;
+/// The same when there was nobody to ask, every time: a source without a buffer. Not at once, because a buffer may become
+/// known a moment after its first block; soon, because the frames behind do not wait.
+const MAX_FAILURES_WITH_NOBODY: u32 = 4;
 /// The same for a source whose missing items have been given up before, and that has answered nothing since: it keeps none.
 const MAX_FAILURES_OF_A_SILENT_SOURCE: u32 = 1;
 
@@ -99,6 +103,8 @@ pub struct Follower<B> {
     held: BTreeMap<u64, B>,
     fetch: Option<Fetching>,
     failures: u32,
+    /// in all of these failures there was nobody to ask
+    nobody: bool,
     source_is_silent: bool,
     counts: FollowCounts,
 }
@@ -141,6 +147,7 @@ impl<B: Block> Follower<B> {
             held: BTreeMap::new(),
             fetch: None,
             failures: 0,
+            nobody: true,
             source_is_silent: false,
             counts: FollowCounts::default(),
         }
@@ -177,12 +184,27 @@ impl<B: Block> Follower<B> {
 
     /// The fetch has failed: nobody answered in time, or not in a way that could be read.
     pub fn unanswered(&mut self, actions: &mut VecDeque<Action<B>>) {
+        self.nobody = false;
+        self.failed(actions);
+    }
+
+    /// The fetch has failed: nobody keeps items of this stream.
+    pub fn nobody_there(&mut self, actions: &mut VecDeque<Action<B>>) {
+        self.nobody |= self.failures == 0;
+        self.failed(actions);
+    }
+
+    fn failed(&mut self, actions: &mut VecDeque<Action<B>>) {
         self.fetch = None;
         if !self.is_missing() {
             return; // a poll: the next one will tell
         }
         self.failures += 1;
-        let most = if self.source_is_silent { MAX_FAILURES_OF_A_SILENT_SOURCE } else { MAX_FAILURES };
+        let most = match (self.source_is_silent, self.nobody) {
+            (true, _) => MAX_FAILURES_OF_A_SILENT_SOURCE,
+            (false, true) => MAX_FAILURES_WITH_NOBODY,
+            (false, false) => MAX_FAILURES,
+        };
         if self.failures >= most {
             self.failures = 0;
             self.source_is_silent = true;

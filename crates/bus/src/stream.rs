@@ -193,8 +193,8 @@ impl Bus {
         let selector = format!("{buffer_key}?{range}");
         let session = self.session().clone();
         match fetch::<SampleBlock>(session, selector, Duration::ZERO, timeout).await {
-            Some(Ok(Answer::CaughtUp(at))) => Some(at),
-            Some(Ok(Answer::Block(_)) | Err(_)) | None => None,
+            Fetched::Answer(Ok(Answer::CaughtUp(at))) => Some(at),
+            Fetched::Answer(Ok(Answer::Block(_)) | Err(_)) | Fetched::NoAnswer | Fetched::Nobody => None,
         }
     }
 }
@@ -202,8 +202,15 @@ impl Bus {
 /// Says why a block does not fit its reader, if it does not.
 type Check<B> = Box<dyn Fn(&B) -> Result<(), &'static str> + Send>;
 
-/// What came of a fetch; none if nobody answered.
-type Fetched<B> = Option<Result<Answer<B>, DecodeError>>;
+/// What came of a fetch.
+enum Fetched<B> {
+    /// Somebody answered.
+    Answer(Result<Answer<B>, DecodeError>),
+    /// Somebody was asked and did not answer in time, or refused.
+    NoAnswer,
+    /// There was nobody to ask.
+    Nobody,
+}
 
 struct Reader<B> {
     follower: Follower<B>,
@@ -268,13 +275,16 @@ impl<B: Block> Reader<B> {
     fn fetched(&mut self, fetched: Fetched<B>) {
         self.fetch = None;
         match fetched {
-            Some(Ok(Answer::Block(block))) if !self.fits(&block) => self.follower.unanswered(&mut self.actions),
-            Some(Ok(answer)) => self.follower.answered(answer, &mut self.actions),
-            Some(Err(error)) => {
+            Fetched::Answer(Ok(Answer::Block(block))) if !self.fits(&block) => {
+                self.follower.unanswered(&mut self.actions);
+            }
+            Fetched::Answer(Ok(answer)) => self.follower.answered(answer, &mut self.actions),
+            Fetched::Answer(Err(error)) => {
                 self.refuse(&error);
                 self.follower.unanswered(&mut self.actions);
             }
-            None => self.follower.unanswered(&mut self.actions),
+            Fetched::NoAnswer => self.follower.unanswered(&mut self.actions),
+            Fetched::Nobody => self.follower.nobody_there(&mut self.actions),
         }
     }
 
@@ -350,18 +360,21 @@ async fn fetch<B: Block>(session: Session, selector: String, pause: Duration, ti
         .await;
     if let Err(error) = asked {
         debug!(selector, %error, "query not sent");
-        return None;
+        return Fetched::NoAnswer;
     }
+    let mut fetched = Fetched::Nobody;
     while let Ok(reply) = received.recv_async().await {
         match reply.result() {
-            Ok(sample) => return Some(read_answer(sample)),
+            Ok(sample) => return Fetched::Answer(read_answer(sample)),
             Err(error) => {
+                fetched = Fetched::NoAnswer; // a timeout is told in this way, too
+
                 let text = error.payload().try_to_string();
                 debug!(selector, error = ?text, "query refused");
             }
         }
     }
-    None
+    fetched
 }
 
 fn read_answer<B: Block>(sample: &Sample) -> Result<Answer<B>, DecodeError> {

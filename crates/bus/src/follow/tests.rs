@@ -69,6 +69,13 @@ impl Rig {
         }
     }
 
+    fn find_nobody(&mut self) {
+        if self.fetch.take().is_some() {
+            self.follower.nobody_there(&mut self.actions);
+            self.work();
+        }
+    }
+
     fn settle(&mut self) {
         self.idle();
         for _ in 0..10_000 {
@@ -351,6 +358,42 @@ fn run(rig: &mut Rig, steps: &[Step]) {
     }
     rig.settle();
     rig.settle();
+}
+
+#[test]
+fn items_of_a_source_that_keeps_nothing_are_given_up_soon_and_then_at_once() {
+    let mut rig = Rig::new(Start::Beginning, 64, 16);
+    let (first, _lost, third) = (rig.put(4), rig.put(4), rig.put(4));
+    rig.find_nobody();
+    rig.live(first);
+    rig.live(third);
+    for _ in 1..MAX_FAILURES_WITH_NOBODY {
+        rig.find_nobody();
+        assert_eq!(rig.items().len(), 4, "not yet");
+    }
+    rig.find_nobody();
+    assert_eq!(rig.items()[4..8], [None; 4]);
+    assert_eq!(rig.items()[8..], [Some(8), Some(9), Some(10), Some(11)]);
+    let (_lost, fifth) = (rig.put(4), rig.put(4));
+    rig.live(fifth);
+    rig.find_nobody();
+    assert_eq!(rig.items().len(), 20, "it is known to keep nothing");
+}
+
+#[test]
+fn source_that_was_there_once_gets_full_patience() {
+    let mut rig = Rig::new(Start::Beginning, 64, 16);
+    let (first, second, third) = (rig.put(4), rig.put(4), rig.put(4));
+    rig.live(first);
+    rig.live(third);
+    rig.fail(); // asked, and too busy to answer
+    for _ in 0..MAX_FAILURES_WITH_NOBODY + 1 {
+        rig.find_nobody(); // its link is down for a moment
+    }
+    assert_eq!(rig.items().len(), 4);
+    rig.live(second);
+    assert_eq!(rig.items().len(), 12);
+    assert!(rig.items().iter().all(Option::is_some));
 }
 
 proptest! {
