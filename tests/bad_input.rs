@@ -315,6 +315,62 @@ fn two_structures_of_one_name_are_refused_by_file() {
 }
 
 #[test]
+fn files_that_cannot_be_read_or_written_are_bad_input() {
+    let site = Site::with(&two_storeys(""));
+    let record = site.simulate(2.0);
+    let nowhere = site.folder().join("nowhere").join("file");
+    let with = |subcommand: &str, arguments: &[&str]| {
+        let mut command = spandrel(subcommand);
+        command.arg(site.structure_file()).args(arguments);
+        finish(&mut command).expect_code(BAD_INPUT).expect_told(&["file"])
+    };
+    let (nowhere, record) = (nowhere.to_str().unwrap(), record.path().to_str().unwrap());
+    with("estimate", &["--record", record, "--baseline", nowhere]);
+    with("estimate", &["--record", record, "--output", nowhere]);
+    with("baseline", &["--record", record, "--skip", "0.5", "--output", nowhere]);
+    with("simulate", &["--duration", "1", "--record", nowhere]);
+    let told = with("run", &["--zenoh-config", nowhere]);
+    assert!(!told.stderr.contains(".rs:"), "whoever runs this knows no source file: {}", told.stderr);
+    let folder = tempfile::tempdir().unwrap();
+    let wrong = write(&folder, "file.json5", "{ mode: 7 }");
+    with("run", &["--zenoh-config", wrong.to_str().unwrap()]);
+    let wrong = write(&folder, "file.json", "{}");
+    with("estimate", &["--record", record, "--baseline", wrong.to_str().unwrap()]);
+}
+
+#[test]
+fn baseline_that_is_of_no_use_is_told() {
+    let site = Site::with(&two_storeys("[[alert]]\nparameters = \"all\"\nloss = 0.1\n"));
+    let record = site.simulate(20.0);
+    let baseline = site.folder().join("house.baseline.json");
+    let mut learn = spandrel("baseline");
+    learn.arg(site.structure_file()).arg("--record").arg(record.path()).arg("--output").arg(&baseline);
+    finish(&mut learn).expect_code(0);
+    let estimate = |structure: &Path, baseline: &Path| {
+        let mut command = spandrel("estimate");
+        finish(command.arg(structure).arg("--record").arg(record.path()).arg("--baseline").arg(baseline)).expect_code(0)
+    };
+    estimate(site.structure_file(), &baseline).expect_told(&["house.baseline.json: not used", "learn-s"]);
+    // a rule that learns, and a baseline of the building before its storeys were renamed
+    let learning = two_storeys("[[alert]]\nparameters = \"all\"\nloss = 0.1\nreference = { learn-s = 5 }\n");
+    let folder = tempfile::tempdir().unwrap();
+    let structure = write(&folder, "house.toml", &learning);
+    let text = std::fs::read_to_string(&baseline).unwrap().replace("storey-2", "storey-two");
+    let renamed = write(&folder, "house.baseline.json", &text);
+    estimate(&structure, &renamed).expect_told(&["storey-two; it has storey-1, storey-2", "lacks storey-2"]);
+    // a configuration that has sound values of a structure that it does not name
+    let text = format!(
+        "structures = [{:?}]\n[baselines]\ntower = {:?}\n",
+        site.structure_file().display().to_string(),
+        baseline.display().to_string()
+    );
+    let configuration = write(&folder, "spandrel.toml", &text);
+    finish(spandrel("run").arg("--config").arg(configuration))
+        .expect_code(BAD_INPUT)
+        .expect_told(&["baseline of `tower`", "structures: house"]);
+}
+
+#[test]
 fn port_in_use_is_named_with_what_to_do() {
     let site = Site::with(&two_storeys(""));
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();

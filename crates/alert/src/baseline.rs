@@ -146,6 +146,11 @@ impl Baseline {
         Reference::new(found.mean, found.std).ok()
     }
 
+    /// Names of the parameters that the baseline knows.
+    pub fn parameters(&self) -> impl Iterator<Item = &str> {
+        self.parameters.iter().map(|entry| entry.parameter.as_str())
+    }
+
     fn check(&self) -> Result<(), AlertError> {
         for entry in &self.parameters {
             Reference::new(entry.mean, entry.std).map_err(|error| AlertError::Parameter {

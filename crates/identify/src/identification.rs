@@ -73,11 +73,51 @@ pub struct Identification {
     restarts: u64,
     /// frames since the last one with a channel
     unobserved: u64,
-    /// frames since the last sample of each component of the excitation
-    unmeasured: Vec<u64>,
+    /// of each component of the excitation
+    hearing: Vec<Hearing>,
     excitation_names: Vec<String>,
     /// frames since a parameter was last clipped, if it ever was
     since_clipped: Option<u64>,
+}
+
+/// Whether samples of an excitation that should be measured come.
+#[derive(Debug, Clone, Copy, Default)]
+struct Hearing {
+    /// one has ever come
+    known: bool,
+    /// frames without one on end, and frames with one on end
+    silent: u64,
+    heard: u64,
+    /// it has been silent for long, and was not yet heard for as long again
+    lost: bool,
+}
+
+/// A change of [`Hearing`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Heard {
+    Silent,
+    Again,
+}
+
+impl Hearing {
+    fn take(&mut self, heard: bool, long: u64) -> Option<Heard> {
+        self.known |= heard;
+        (self.silent, self.heard) = if heard { (0, self.heard + 1) } else { (self.silent + 1, 0) };
+        if !self.lost && self.silent >= long {
+            self.lost = true;
+            return Some(Heard::Silent);
+        }
+        if self.lost && self.heard >= long {
+            self.lost = false;
+            return Some(Heard::Again);
+        }
+        None
+    }
+
+    /// Before the first sample nobody knows how strong the excitation is; later the filter knows how strong it has been.
+    fn is_silent(&self) -> bool {
+        self.lost || (!self.known && self.silent > 0)
+    }
 }
 
 /// Where the running epoch of frames stands.
@@ -169,7 +209,7 @@ impl Identification {
             stream: None,
             restarts: 0,
             unobserved: 0,
-            unmeasured: vec![0; structure.excitation_channels().len()],
+            hearing: vec![Hearing::default(); structure.excitation_channels().len()],
             excitation_names: structure.excitations().iter().map(|excitation| excitation.name().to_owned()).collect(),
             since_clipped: None,
         })
@@ -385,19 +425,22 @@ impl Identification {
         }
     }
 
-    /// Tells once when an excitation that should be measured has been silent for long.
+    /// Tells when an excitation that should be measured has been silent for long, and when it is back.
     fn tell_silent_excitations(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
-        let bridged = self.stream.map_or(u64::MAX, Stream::bridged_frames);
-        for (input, value) in self.excitation.iter().enumerate() {
-            self.unmeasured[input] = if value.is_nan() { self.unmeasured[input] + 1 } else { 0 };
-            if self.unmeasured[input] == bridged.max(1) {
-                let name = &self.excitation_names[input];
-                outputs.push(self.event(
-                    time_ns,
-                    EventKind::Unidentified,
-                    &format!("{name} is to be measured and has no samples"),
-                    "stiffness and alerts rest on a level of it that nobody knows",
-                ));
+        let bridged = self.stream.map_or(u64::MAX, Stream::bridged_frames).max(1);
+        for input in 0..self.excitation.len() {
+            match self.hearing[input].take(!self.excitation[input].is_nan(), bridged) {
+                Some(Heard::Silent) => {
+                    let what = format!("{} is to be measured and has no samples", self.excitation_names[input]);
+                    let why = "stiffness rests on a level of it that nobody knows: no alert is decided on";
+                    outputs.push(self.event(time_ns, EventKind::Unidentified, &what, why));
+                }
+                Some(Heard::Again) => {
+                    let what = format!("{} is measured again", self.excitation_names[input]);
+                    let why = "the estimates have had time to follow it: alerts are decided on";
+                    outputs.push(self.event(time_ns, EventKind::Calibration, &what, why));
+                }
+                None => {}
             }
         }
     }
@@ -488,8 +531,8 @@ impl Identification {
             used_channels: used as u16,
             flags: EstimateFlags {
                 phase: match noise.phase {
-                    NoisePhase::Training => Phase::Training,
-                    NoisePhase::Working => Phase::Working,
+                    NoisePhase::Working if !self.hearing.iter().any(Hearing::is_silent) => Phase::Working,
+                    NoisePhase::Working | NoisePhase::Training => Phase::Training,
                 },
                 restarted,
                 prediction_only: used == 0,

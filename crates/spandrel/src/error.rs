@@ -56,6 +56,16 @@ pub enum AppError {
         /// The other.
         second: PathBuf,
     },
+    /// The configuration has sound values of a structure that it does not name.
+    #[error("{} is the baseline of `{name}`, which is none of the structures: {known}", path.display())]
+    BaselineOfNone {
+        /// The name.
+        name: String,
+        /// The baseline file.
+        path: PathBuf,
+        /// The structures.
+        known: String,
+    },
     /// The root or a name cannot be a key.
     #[error(transparent)]
     Name(#[from] NameError),
@@ -127,10 +137,11 @@ impl AppError {
             | Self::Configuration { .. }
             | Self::NoStructure
             | Self::SameStructure { .. }
+            | Self::BaselineOfNone { .. }
             | Self::NothingLearnt { .. }
             | Self::WouldOverwrite { .. }
             | Self::Name(_)
-            | Self::Validate(ValidateError::UnknownCase { .. })
+            | Self::Validate(ValidateError::UnknownCase { .. } | ValidateError::File { .. })
             | Self::Sensor(SensorError::Record(_))
             | Self::Bus(BusError::ConfigFile { .. } | BusError::Setting { .. })
             | Self::Alert(
@@ -156,7 +167,7 @@ impl AppError {
         let mut text = format!("error: {self}\n");
         let mut cause = self.source();
         while let Some(error) = cause {
-            let line = error.to_string();
+            let line = without_source_places(&error.to_string());
             if !text.contains(&line) {
                 // writing to a String does not fail
                 let _ = writeln!(text, "  because: {line}");
@@ -164,5 +175,33 @@ impl AppError {
             cause = error.source();
         }
         text
+    }
+}
+
+/// Takes out where in its own source Zenoh noticed an error: ` at …/lib.rs:1507.`
+fn without_source_places(text: &str) -> String {
+    let mut text = text.to_owned();
+    while let Some(end) = text.find(".rs:") {
+        let Some(begin) = text[..end].rfind(" at ") else { break };
+        let number = end + ".rs:".len();
+        let digits = text[number..].bytes().take_while(u8::is_ascii_digit).count();
+        let dot = usize::from(text[number + digits..].starts_with('.'));
+        text.replace_range(begin..number + digits + dot, "");
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_in_the_source_of_zenoh_are_left_out() {
+        let told =
+            "No such file (os error 2) at /root/.cargo/zenoh-config-1.10.2/src/lib.rs:1507. - Caused by x at a.rs:3.";
+        assert_eq!(without_source_places(told), "No such file (os error 2) - Caused by x");
+        for plain in ["found at line 7", "main.rs: is no configuration", ""] {
+            assert_eq!(without_source_places(plain), plain);
+        }
     }
 }

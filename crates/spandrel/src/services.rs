@@ -6,7 +6,7 @@ use spandrel_alert::{AlertService, Baseline};
 use spandrel_bus::{Bus, Keys, Name};
 use spandrel_identify::{FilterPool, IdentifyService};
 use spandrel_ingest::{IngestService, IngestSettings, Waiting};
-use spandrel_structure::Structure;
+use spandrel_structure::{Reference, Structure};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -37,6 +37,7 @@ pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Wat
     if paths.is_empty() {
         return Err(AppError::NoStructure);
     }
+    let all = paths.len() == settings.structures.len();
     let mut watched: Vec<Watched> = Vec::new();
     for (index, path) in paths.iter().enumerate() {
         let read = watch_structure(settings, path)?;
@@ -47,7 +48,40 @@ pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Wat
         }
         watched.push(read);
     }
+    let is_watched = |name: &String| watched.iter().any(|watched| watched.structure.name() == name);
+    if let Some((name, path)) = settings.baselines.iter().find(|(name, _)| all && !is_watched(name)) {
+        let known: Vec<&str> = watched.iter().map(|watched| watched.structure.name()).collect();
+        return Err(AppError::BaselineOfNone { name: name.clone(), path: path.clone(), known: known.join(", ") });
+    }
     Ok(watched)
+}
+
+/// Warns of what a baseline file says in vain, and of what it leaves to be learnt.
+pub fn tell_unused_baseline(structure: &Structure, baseline: &Baseline, path: &Path) {
+    let (path, names) = (path.display(), || structure.parameters().iter().map(|parameter| parameter.name()));
+    let learning: Vec<&str> = structure
+        .alert_rules()
+        .iter()
+        .filter(|rule| matches!(rule.reference, Reference::Baseline { .. }))
+        .flat_map(|rule| &rule.parameters)
+        .filter_map(|index| names().nth(*index))
+        .collect();
+    if learning.is_empty() {
+        let structure = structure.name();
+        warn!(
+            "{path}: not used, no alert rule of {structure} has a reference to be learnt: reference = {{ learn-s = … }}"
+        );
+        return;
+    }
+    let unknown: Vec<&str> = baseline.parameters().filter(|name| !names().any(|known| known == *name)).collect();
+    if !unknown.is_empty() {
+        let known: Vec<&str> = names().collect();
+        warn!("{path}: has no parameters of {}: {}; it has {}", structure.name(), unknown.join(", "), known.join(", "));
+    }
+    let missing: Vec<&str> = learning.into_iter().filter(|name| baseline.reference(name).is_none()).collect();
+    if !missing.is_empty() {
+        warn!("{path}: lacks {}, which will be learnt from the first data", missing.join(", "));
+    }
 }
 
 /// Reads one structure with its keys and sound values.
@@ -57,7 +91,14 @@ pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Wat
 pub fn watch_structure(settings: &Settings, path: &Path) -> Result<Watched, AppError> {
     let structure = Structure::read(path)?;
     let keys = settings.bus.keys(structure.name())?;
-    let baseline = settings.baselines.get(structure.name()).map(|path| Baseline::read(path)).transpose()?;
+    let baseline = match settings.baselines.get(structure.name()) {
+        Some(path) => {
+            let baseline = Baseline::read(path)?;
+            tell_unused_baseline(&structure, &baseline, path);
+            Some(baseline)
+        }
+        None => None,
+    };
     Ok(Watched { structure, keys, baseline })
 }
 

@@ -12,7 +12,7 @@ use crate::grid::TimeGrid;
 /// Whether the filter still learns the noise or already works.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Phase {
-    /// The first frames: the estimate is not yet to be trusted.
+    /// The estimate is not to be trusted: the first frames, or a measured excitation is silent.
     Training,
     /// Normal work.
     Working,

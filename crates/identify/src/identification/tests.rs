@@ -115,7 +115,7 @@ fn motion_is_forgotten_over_a_gap_too_long_to_bridge() {
     core.handle(Input::Frames(frames(3000)), &mut outputs);
     let mean = |core: &Identification| match core.estimator() {
         Estimator::Filter(filter) => filter.mean().clone(),
-        Estimator::Classes(_) => panic!("the demo has one model"),
+        Estimator::Classes(_) | Estimator::Particles(_) => panic!("the demo has one filter"),
     };
     let before = mean(&core);
     core.handle(Input::Gap { from: 3000, to: 9000 }, &mut outputs);
@@ -238,6 +238,20 @@ fn excitation_that_is_never_measured_is_told_once() {
     let told: Vec<_> = events(&outputs).into_iter().filter(|e| e.what.contains("has no samples")).collect();
     assert_eq!(told.len(), 1);
     assert!(told[0].what.contains("ground") && told[0].time_ns < 11_000_000_000, "{told:?}");
+    assert!(estimates(&outputs).iter().all(|estimate| estimate.flags.phase == Phase::Training), "nothing is decided");
+}
+
+#[test]
+fn excitation_that_falls_silent_is_trusted_again_only_after_it_has_been_back_for_as_long() {
+    let (structure, mut block) = of_text(|text| text.replace("adapt-noise = true", "adapt-noise = false"), 6000);
+    for frame in block.values.chunks_exact_mut(6).skip(1000).take(2000) {
+        frame[0] = f64::NAN;
+    }
+    let outputs = identified(&structure, block);
+    let phases: Vec<Phase> = estimates(&outputs).iter().map(|estimate| estimate.flags.phase).collect();
+    let turns: Vec<usize> = (1..phases.len()).filter(|at| phases[*at] != phases[at - 1]).collect();
+    assert_eq!((phases[0], &turns[..]), (Phase::Working, &[1999, 3999][..]));
+    assert!(events(&outputs).iter().any(|event| event.what == "ground is measured again"));
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use super::{print, progress, refuse_overwriting};
 use crate::cli::{DensityChoice, EstimateArguments, FilterChoice, ParticleArguments};
 use crate::error::AppError;
+use crate::services::tell_unused_baseline;
 use crate::{offline, record_source};
 use spandrel_alert::Baseline;
 use spandrel_bus::EstimateBlock;
@@ -28,6 +29,9 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
     let structure = Structure::read(&arguments.structure)?;
     let recording = record_source::open(&structure, &arguments.record)?;
     let baseline = arguments.baseline.as_deref().map(Baseline::read).transpose()?;
+    if let (Some(baseline), Some(path)) = (&baseline, &arguments.baseline) {
+        tell_unused_baseline(&structure, baseline, path);
+    }
     let names: Vec<&str> = structure.parameters().iter().map(|parameter| parameter.name()).collect();
     let mut writer = arguments.output.as_deref().map(|path| EstimateWriter::create(path, &names)).transpose()?;
     let bar = progress::bar("identifying", None);
