@@ -10,7 +10,7 @@
 //! - `after_s`: length of the data that `std_after` stands for; `memory_s`: length of the data that fading memory amounts
 //!   to. Both are `null`, and the next three empty, if no filter settles on this structure
 //! - `parameters`: `name`, `prior_mean`, `prior_std`, `std_after`, `std_steady` (in the long run, with fading memory),
-//!   `std_reported` (what the filter will report in the long run), `settling_s` (time in which an error falls to a third),
+//!   `std_reported` (what the filter will report in the long run), `settling_s` (time in which an error falls to a third, `null` for never),
 //!   `dynamic_sensitivity` (by how much a change of 1 % moves the predicted data of one frame, in their deviations), `verdict`, and `shifts`: shift of the estimate were a noise level stated 10 % too high, in the order of `noise_levels`
 //! - `noise_levels`: `name`, `std` as the file states it in `unit`, whether `adapted`, `relative_std_after` (relative
 //!   deviation of the level after the data, were it adapted), `haste` (how many times faster than its half-life it moves)
@@ -270,9 +270,10 @@ impl CheckPage {
         for line in &self.parameters {
             let ParameterLine { name, prior_mean, prior_std, std_after, std_steady, std_reported, settling_s, .. } =
                 line;
+            let settles = if settling_s.is_finite() { format!("{settling_s:.1}") } else { "never".to_owned() };
             writeln!(
                 f,
-                "  {name:width$}  {prior_mean:.3} ± {prior_std:.3}  {:>12}  {:>8}  {:>8}  {settling_s:>11.1}  {}",
+                "  {name:width$}  {prior_mean:.3} ± {prior_std:.3}  {:>12}  {:>8}  {:>8}  {settles:>11}  {}",
                 deviation(*std_after),
                 deviation(*std_steady),
                 deviation(*std_reported),

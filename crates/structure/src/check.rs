@@ -85,7 +85,8 @@ pub struct ParameterReport {
     pub std_steady: f64,
     /// Standard deviation that the filter will report in the long run.
     pub std_reported: f64,
-    /// Time (s) in which the filter takes an error of this parameter to a third (1/e); the memory, if it uses all it counts.
+    /// Time (s) in which the filter takes an error of this parameter to a third (1/e); the memory, if it uses all it counts;
+    /// infinite if it hardly forgets one.
     pub settling_s: f64,
     /// By how much a change of 1 % moves the predicted data of one frame, in their standard deviations (rms over frames,
     /// all channels together).
@@ -116,14 +117,10 @@ impl Structure {
         let information = Information::expected(self, frames, seed);
         let identification = information.and_then(|information| self.identification(&information, frames));
         let time_step = self.time_step(modes.as_ref());
-        let findings = find(identification.as_ref(), &time_step, self.band_limit.map(|limit| limit.frequency_hz));
-        CheckReport {
-            structure: self.name.clone(),
-            modes: modes.map(|modes| self.mode_reports(&modes)).unwrap_or_default(),
-            time_step,
-            identification,
-            findings,
-        }
+        let modes = modes.map(|modes| self.mode_reports(&modes)).unwrap_or_default();
+        let band_limit_hz = self.band_limit.map(|limit| limit.frequency_hz);
+        let findings = find(identification.as_ref(), &time_step, &modes, self.sampling_rate_hz, band_limit_hz);
+        CheckReport { structure: self.name.clone(), modes, time_step, identification, findings }
     }
 
     fn time_step(&self, modes: Option<&Modes>) -> TimeStepReport {

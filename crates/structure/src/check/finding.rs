@@ -1,6 +1,6 @@
 //! What a check has to say, as data and as sentences.
 
-use super::{IdentificationReport, TimeStepReport};
+use super::{IdentificationReport, ModeReport, TimeStepReport};
 use serde::Serialize;
 use std::fmt;
 
@@ -81,6 +81,15 @@ pub enum Finding {
         /// Corner frequency (Hz).
         frequency_hz: f64,
     },
+    /// Modes of the model vibrate faster than the samples can show.
+    AliasedModes {
+        /// How many.
+        modes: usize,
+        /// Of so many.
+        of: usize,
+        /// Half the sampling rate (Hz).
+        nyquist_hz: f64,
+    },
     /// The highest frequency of the model is so high that each time step is cut.
     SubstepsNeeded {
         /// Substeps of each step.
@@ -101,9 +110,10 @@ impl Finding {
             | Self::LevelConfounded { adapted: true, .. }
             | Self::SlowToSettle { .. }
             | Self::HastyLevel { .. } => Severity::Warning,
-            Self::LevelConfounded { adapted: false, .. } | Self::BandLimited { .. } | Self::SubstepsNeeded { .. } => {
-                Severity::Note
-            }
+            Self::LevelConfounded { adapted: false, .. }
+            | Self::BandLimited { .. }
+            | Self::AliasedModes { .. }
+            | Self::SubstepsNeeded { .. } => Severity::Note,
         }
     }
 }
@@ -135,6 +145,11 @@ impl fmt::Display for Finding {
                     "; the result rests on the level that the file states, do not adapt it"
                 })
             }
+            Self::SlowToSettle { parameter, settling_s, memory_s } if settling_s.is_infinite() => write!(
+                f,
+                "{parameter}: the filter hardly forgets an error, although its memory is {memory_s:.0} s, and reports an interval \
+                 that is too narrow"
+            ),
             Self::SlowToSettle { parameter, settling_s, memory_s } => write!(
                 f,
                 "{parameter}: the filter takes {settling_s:.0} s to forget an error, not the {memory_s:.0} s of its memory, \
@@ -150,6 +165,11 @@ impl fmt::Display for Finding {
                 "the deviations are those of the whole band: above the declared limit of {frequency_hz} Hz the data are cut off, \
                  and what remains holds less"
             ),
+            Self::AliasedModes { modes, of, nyquist_hz } => write!(
+                f,
+                "{modes} of {of} modes lie above {nyquist_hz} Hz, half the sampling rate: what shakes them shows at lower \
+                 frequencies unless it is filtered off before it is sampled; a higher rate or a coarser model has no such modes"
+            ),
             Self::SubstepsNeeded { substeps, highest_frequency_hz } => write!(
                 f,
                 "each time step is cut into {substeps} substeps, because the model reaches {highest_frequency_hz:.1} Hz: \
@@ -163,6 +183,8 @@ impl fmt::Display for Finding {
 pub(super) fn find(
     identification: Option<&IdentificationReport>,
     time_step: &TimeStepReport,
+    modes: &[ModeReport],
+    sampling_rate_hz: f64,
     band_limit_hz: Option<f64>,
 ) -> Vec<Finding> {
     let mut findings = match identification {
@@ -171,6 +193,11 @@ pub(super) fn find(
     };
     if let Some(frequency_hz) = band_limit_hz {
         findings.push(Finding::BandLimited { frequency_hz });
+    }
+    let nyquist_hz = sampling_rate_hz / 2.0;
+    let above = modes.iter().filter(|mode| mode.frequency_hz > nyquist_hz).count();
+    if above > 0 {
+        findings.push(Finding::AliasedModes { modes: above, of: modes.len(), nyquist_hz });
     }
     if time_step.substeps > 1 {
         let TimeStepReport { substeps, highest_frequency_hz, .. } = *time_step;
@@ -208,8 +235,8 @@ fn of_identification(report: &IdentificationReport) -> Vec<Finding> {
                 });
             }
         }
-        // a negative time would be an error that grows; what is not informed does not settle anyway
-        let slow = parameter.settling_s > SLOW * report.memory_s || parameter.settling_s < 0.0;
+        // what is not informed does not settle anyway
+        let slow = parameter.settling_s > SLOW * report.memory_s;
         if slow && ratio <= INFORMED {
             findings.push(Finding::SlowToSettle {
                 parameter: parameter.name.clone(),

@@ -11,6 +11,15 @@ const VAGUE: f64 = 10.0;
 /// Priors are widened by this for correlations, so that these show what the data say and not what was believed.
 const WIDE: f64 = 10.0;
 
+/// An error that takes more memories than this to decay is never forgotten.
+const NEVER: f64 = 100.0;
+
+/// Returns the time in which an error decays (frames), infinite where it does not: the linearised equations may also give a
+/// negative one.
+fn decaying(frames: f64, memory_frames: f64) -> f64 {
+    if (0.0..=NEVER * memory_frames).contains(&frames) { frames } else { f64::INFINITY }
+}
+
 impl Structure {
     /// Turns information into standard deviations; `None` if it cannot be inverted.
     pub(super) fn identification(&self, information: &Information, frames: u64) -> Option<IdentificationReport> {
@@ -45,7 +54,7 @@ impl Structure {
             std_after: after[(index, index)].sqrt(),
             std_steady: steady[(index, index)].sqrt(),
             std_reported: reported[(index, index)].sqrt(),
-            settling_s: settling_frames[index] * step_s,
+            settling_s: decaying(settling_frames[index], memory_frames) * step_s,
             dynamic_sensitivity: 0.01 * held[(index, index)].max(0.0).sqrt(),
             shifts: shifts(index),
         });

@@ -210,3 +210,26 @@ fn hysteresis_is_checked_by_its_small_motions() {
     let sum: f64 = report.modes[0].sensitivity[..5].iter().sum();
     assert!((sum - 0.5).abs() < 1e-12, "{sum}");
 }
+
+#[test]
+fn modes_above_half_the_sampling_rate_are_a_note() {
+    let found = |text: &str| {
+        let findings = parse(text).check(5.0, 1).findings;
+        findings.into_iter().find(|finding| matches!(finding, Finding::AliasedModes { .. }))
+    };
+    assert_eq!(found(DEMO), None);
+    // the demo reaches 6.7 Hz: at 8 Hz one could not know it from 1.3 Hz
+    let slow = DEMO.replace("sampling-rate-hz = 100", "sampling-rate-hz = 8");
+    let Some(Finding::AliasedModes { modes, of, nyquist_hz }) = found(&slow) else { panic!("nothing is said") };
+    assert!((1..5).contains(&modes) && of == 5 && nyquist_hz == 4.0, "{modes} of {of}");
+}
+
+#[test]
+fn time_in_which_an_error_decays_is_positive_or_infinite() {
+    for text in [DEMO, OUTPUT_ONLY, OSCILLATOR] {
+        let report = parse(text).check(20.0, 1).identification.unwrap();
+        for parameter in report.parameters {
+            assert!(parameter.settling_s > 0.0, "{}: {}", parameter.name, parameter.settling_s);
+        }
+    }
+}
