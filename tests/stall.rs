@@ -169,15 +169,17 @@ fn the_demo_loses_no_frame_of_ten_minutes_at_full_speed() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn readers_with_tiny_queues_in_the_session_of_the_services_get_everything() {
+async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
     let site = Site::of(&five_storeys());
     let record = site.simulate(120.0);
     let expected = site.estimate(&record);
-    let config = BusConfig { listen: vec![free_endpoint()], ..BusConfig::default() };
+    let config = BusConfig { listen: vec![free_endpoint()], queue: NonZeroUsize::MIN, ..BusConfig::default() };
     let (bus, keys, structure) = (Bus::open(&config).await.unwrap(), site.keys(), site.structure());
-    let tiny = || StreamSettings { queue: 1, deliveries: 1, ..StreamSettings::new(Start::Beginning) };
-    let frames = follow_frames(&bus, &keys, tiny()).await;
-    let mut reader = EstimateReader::with_settings(&bus, &keys, tiny()).await;
+    let tiny = bus.reading(Start::Beginning);
+    assert_eq!((tiny.queue, tiny.deliveries), (1, 1));
+    let frames = follow_frames(&bus, &keys, tiny.clone()).await;
+    let mut reader = EstimateReader::with_settings(&bus, &keys, tiny).await;
+    let drops = Drops::watch(&bus, &keys).await;
 
     let id = |text: &str| Name::new(text).unwrap();
     let settings = IngestSettings { id: id("ingest"), epoch: 1, waiting: Waiting::Limited(Duration::from_secs(2)) };
@@ -201,5 +203,11 @@ async fn readers_with_tiny_queues_in_the_session_of_the_services_get_everything(
     assert_same_bits("tiny queues", &expected.parameters, &expected.frames, reader.read_to_end(1).await);
     assert_eq!(read_frames_to_end(&frames).await, record.len() as u64, "frames with tiny queues");
     within("sensors that stop", sent).await.unwrap().unwrap();
+    // the queues were too small, and nothing was lost for that
+    for service in [Service::Ingest, Service::Identify, Service::Alert] {
+        let drops = drops.when_done(service, record.len() as u64).await.drops;
+        println!("{}: {drops:?}", service.as_str());
+        assert!(!drops.contains_key("lost-items"), "{}: {drops:?}", service.as_str());
+    }
     services.iter().for_each(|service| service.abort());
 }

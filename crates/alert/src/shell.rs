@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Block, Bus, Delivery, DisplayPublisher, EstimateBlock, Keys,
-    LatestPublisher, LiveToken, Name, ProgressPublisher, Service, Start, Status, Stream, StreamSettings, Subscription,
+    LatestPublisher, LiveToken, Name, ProgressPublisher, Service, Start, Status, Stream, Subscription,
 };
 use spandrel_structure::Structure;
 use tracing::{info, warn};
@@ -66,7 +66,7 @@ impl AlertService {
             alerts.push(AlertTopic { parameter, publisher });
         }
         let acknowledgements = bus.subscribe(keys.all_acknowledgements(), ACKNOWLEDGEMENTS_WAITING).await?;
-        let settings = StreamSettings::new(Start::Beginning);
+        let settings = bus.reading(Start::Beginning);
         let parameters = structure.parameters().len();
         let is_of_structure = move |block: &EstimateBlock| match usize::from(block.parameters) == parameters {
             true => Ok(()),

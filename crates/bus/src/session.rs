@@ -1,6 +1,7 @@
 //! Opens and closes the Zenoh session.
 
 use std::net::{TcpListener, TcpStream, ToSocketAddrs};
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -8,8 +9,10 @@ use serde::{Deserialize, Serialize};
 use zenoh::Session;
 
 use crate::error::{BusError, ZenohError};
+use crate::follow::Start;
 use crate::keys::{DEFAULT_ROOT, Keys};
 use crate::name::{Name, NameError};
+use crate::stream::StreamSettings;
 
 /// Endpoint of the first Spandrel on a machine: reachable from this machine only.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
@@ -45,6 +48,8 @@ pub struct BusConfig {
     pub connect: Vec<String>,
     /// Time within which they must, s; none: the session opens at once and keeps trying.
     pub connect_timeout_s: Option<f64>,
+    /// Messages that wait for each reader of a lossless stream, at least 1; what finds no room is fetched later.
+    pub queue: NonZeroUsize,
     /// A Zenoh configuration file (JSON5), for TLS, access control and all else; the settings above that are not
     /// empty are laid over it.
     pub config_file: Option<PathBuf>,
@@ -58,6 +63,7 @@ impl Default for BusConfig {
             listen: Vec::new(),
             connect: Vec::new(),
             connect_timeout_s: Some(5.0),
+            queue: const { NonZeroUsize::new(256).unwrap() },
             config_file: None,
         }
     }
@@ -149,6 +155,7 @@ fn reach(address: &str) -> std::io::Result<TcpStream> {
 #[derive(Clone, Debug)]
 pub struct Bus {
     session: Session,
+    queue: NonZeroUsize,
 }
 
 impl Bus {
@@ -159,9 +166,16 @@ impl Bus {
     pub async fn open(config: &BusConfig) -> Result<Self, BusError> {
         let zenoh_config = config.zenoh_config()?;
         match zenoh::open(zenoh_config).await {
-            Ok(session) => Ok(Self { session }),
+            Ok(session) => Ok(Self { session, queue: config.queue }),
             Err(source) => Err(config.diagnose(source)),
         }
+    }
+
+    /// Settings for reading a lossless stream, with the queue of the configuration.
+    #[must_use]
+    pub fn reading(&self, start: Start) -> StreamSettings {
+        let settings = StreamSettings::new(start);
+        StreamSettings { queue: self.queue.get(), deliveries: self.queue.get().min(settings.deliveries), ..settings }
     }
 
     /// The Zenoh session below, for what this room does not offer.

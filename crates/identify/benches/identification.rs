@@ -1,4 +1,5 @@
-//! What one frame costs: the demo's building, five storeys, six channels, noise updating on.
+//! What one frame costs: the demo's building, five storeys, six channels, noise updating on; and an hour of it from the
+//! rows of a record to the estimates, as `spandrel estimate` goes.
 //!
 //! The time per element is that of one frame; 100 Hz in real time leaves 10 ms for it.
 
@@ -37,5 +38,42 @@ fn identification(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, identification);
+/// An hour of records: the blocks of a recording through the same core, block by block.
+fn an_hour(criterion: &mut Criterion) {
+    const HOUR: u64 = 360_000;
+    const BLOCK: usize = 256;
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
+    let structure = Structure::read(&path).expect("the example is valid");
+    let channels = structure.channel_count();
+    let values: Vec<f64> = structure.simulator(1).take(HOUR as usize).flat_map(|frame| frame.values).collect();
+    let blocks: Vec<FrameBlock> = values
+        .chunks(BLOCK * channels)
+        .zip((0..).step_by(BLOCK))
+        .map(|(values, sequence)| FrameBlock {
+            header: Header { source: "bench".into(), epoch: 1, sequence, time_ns: sequence as i64 * 10_000_000 },
+            t0_ns: 0,
+            sampling_rate_hz: structure.sampling_rate_hz(),
+            channels: channels as u16,
+            values: values.to_vec(),
+            state: StreamState::Running,
+        })
+        .collect();
+    let mut group = criterion.benchmark_group("estimation");
+    group.throughput(Throughput::Elements(HOUR)).sample_size(10);
+    group.bench_function("an hour of five storeys", |bencher| {
+        bencher.iter(|| {
+            let mut core = Identification::new(&structure, "bench").expect("the example has a filter");
+            let (mut outputs, mut estimates) = (Vec::new(), 0);
+            for block in &blocks {
+                core.handle(Input::Frames(block.clone()), &mut outputs);
+                estimates += outputs.len();
+                outputs.clear();
+            }
+            black_box(estimates)
+        });
+    });
+    group.finish();
+}
+
+criterion_group!(benches, identification, an_hour);
 criterion_main!(benches);

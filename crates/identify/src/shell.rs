@@ -6,7 +6,7 @@ use crate::pool::FilterPool;
 use spandrel_bus::{
     Bus, BusError, Delivery, Description, DisplayPublisher, EstimateBlock, Event, EventKind, FrameBlock, Keys,
     LatestPublisher, LiveToken, Message, ModelClassDisplay, Name, NoiseDisplay, NumberedPublisher, NumberedStream,
-    OutlierDisplay, ParameterDisplay, ProgressPublisher, Service, Start, Status, Stream, StreamSettings, StreamState,
+    OutlierDisplay, ParameterDisplay, ProgressPublisher, Service, Start, Status, Stream, StreamState,
 };
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
@@ -95,7 +95,7 @@ impl IdentifyService {
             true => Ok(()),
             false => Err("frames-of-another-structure"),
         };
-        let settings = StreamSettings::new(Start::Beginning);
+        let settings = bus.reading(Start::Beginning);
         let frames = bus.follow_fit(keys.frames(), keys.recording(), settings, is_of_structure).await?;
         let service = Self {
             pool,

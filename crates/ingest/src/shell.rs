@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use spandrel_bus::{
     Bus, Delivery, DisplayPublisher, FrameBlock, Keys, LiveToken, LiveWatch, Name, NumberedPublisher, NumberedStream,
-    Pace, ProgressPublisher, SampleBlock, Service, Start, Status, Stream, StreamSettings, StreamState,
+    Pace, ProgressPublisher, SampleBlock, Service, Start, Status, Stream, StreamState,
 };
 use spandrel_structure::Structure;
 use tokio::task::JoinSet;
@@ -124,7 +124,7 @@ impl IngestService {
         let frames = frames.await?;
         let mut nodes = Vec::new();
         for node in layout.nodes() {
-            let settings = StreamSettings::new(Start::Beginning);
+            let settings = bus.reading(Start::Beginning);
             let source = node.name.to_string();
             let is_of_node = move |block: &SampleBlock| match block.header.source == source {
                 true => Ok(()),

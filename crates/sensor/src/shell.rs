@@ -73,6 +73,9 @@ struct Put {
     next: Vec<Option<SampleBlock>>,
 }
 
+/// Services that are not there for so long are asked for aloud.
+const TOLD_AFTER: Duration = Duration::from_secs(1);
+
 impl SensorService {
     /// Declares the nodes; `rate_hz` (Hz) is that of the rows.
     ///
@@ -164,8 +167,9 @@ impl SensorService {
     async fn wait_for_services(&self) -> Result<(), SensorError> {
         for service in &self.settings.wait_for {
             let mut watch = self.bus.watch_live(self.keys.all_live(*service)).await?;
-            if watch.present().is_empty() {
-                info!(structure = self.keys.structure().as_str(), service = service.as_str(), "waiting for a service");
+            if watch.present().is_empty() && timeout(TOLD_AFTER, watch.some()).await.is_err() {
+                let (structure, service) = (self.keys.structure().as_str(), service.as_str());
+                warn!(structure, "waiting for a {service} service on this bus before anything is sent");
                 watch.some().await;
             }
         }

@@ -186,6 +186,7 @@ fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
         | Finding::SlowToSettle { .. }
         | Finding::HastyLevel { .. }
         | Finding::BandLimited { .. }
+        | Finding::AliasedModes { .. }
         | Finding::SubstepsNeeded { .. } => None,
     });
     verdicts.reduce(|worst, _| worst).unwrap_or_else(|| "identified".to_owned())
@@ -215,7 +216,10 @@ fn advice(structure: &Structure, finding: &Finding) -> Option<String> {
         Finding::SlowToSettle { parameter, .. } => {
             Some(format!("put a sensor that tells more of {parameter}, or ask its alert rule for a longer sustain-s"))
         }
-        Finding::HastyLevel { .. } | Finding::BandLimited { .. } | Finding::SubstepsNeeded { .. } => None,
+        Finding::HastyLevel { .. }
+        | Finding::BandLimited { .. }
+        | Finding::AliasedModes { .. }
+        | Finding::SubstepsNeeded { .. } => None,
     }
 }
 

@@ -8,9 +8,7 @@ use crate::offline;
 use crate::services::{Running, Watched, block_on, interrupted};
 use crate::settings::Settings;
 use crate::summary::{Collector, Summary};
-use spandrel_bus::{
-    AlertMessage, AlertState, Bus, Delivery, EstimateBlock, Service, Start, StreamSettings, StreamState,
-};
+use spandrel_bus::{AlertMessage, AlertState, Bus, Delivery, EstimateBlock, Service, Start, StreamState};
 use spandrel_structure::Structure;
 use std::io::IsTerminal;
 use std::path::Path;
@@ -69,7 +67,8 @@ async fn show_and_collect(
 ) -> Result<Option<Summary>, AppError> {
     let Watched { structure, keys, .. } = watched;
     let frames = (arguments.duration * structure.sampling_rate_hz()).round() as u64;
-    let simulation = simulate(bus, structure, keys, arguments.speed.into(), arguments.seed, Some(frames));
+    let no_bar = indicatif::ProgressBar::hidden(); // the view shows what there is to see
+    let simulation = simulate(bus, structure, keys, arguments.speed.into(), arguments.seed, Some(frames), &no_bar);
     let collected = collect(bus, watched, arguments);
     let both = async { tokio::try_join!(collected, simulation).map(|(summary, ())| Some(summary)) };
     if !shown {
@@ -92,7 +91,7 @@ async fn show_and_collect(
 
 async fn collect(bus: &Bus, watched: &Watched, arguments: &DemoArguments) -> Result<Summary, AppError> {
     let Watched { structure, keys, .. } = watched;
-    let settings = StreamSettings::new(Start::Beginning);
+    let settings = bus.reading(Start::Beginning);
     let estimates = bus.follow::<EstimateBlock>(keys.estimates(), keys.estimates_buffer(), settings).await?;
     let alerts = bus.subscribe::<AlertMessage>(keys.all_alerts(), ALERTS_WAITING).await?;
     let mut decided = bus.watch_progress(keys.progress(Service::Alert)).await?;

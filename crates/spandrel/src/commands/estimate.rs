@@ -34,7 +34,7 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
     }
     let names: Vec<&str> = structure.parameters().iter().map(|parameter| parameter.name()).collect();
     let mut writer = arguments.output.as_deref().map(|path| EstimateWriter::create(path, &names)).transpose()?;
-    let bar = progress::bar("identifying", None);
+    let bar = progress::bar("identifying", record_source::expected_rows(&arguments.record));
     let identification = identification(&structure, arguments)?;
     let rows = recorded_rows(recording, 0);
     let collector = offline::identify(&structure, identification, rows, baseline.as_ref(), |block| {

@@ -19,7 +19,7 @@ pub fn run(arguments: ReplayArguments) -> Result<(), AppError> {
     let recording = record_source::open(&structure, &arguments.record)?;
     let settings = Settings::load(&arguments.bus)?;
     let keys = settings.bus.keys(structure.name())?;
-    let bar = progress::bar("replaying", None);
+    let bar = progress::bar("replaying", record_source::expected_rows(&arguments.record));
     block_on(async {
         let bus = Bus::open(&settings.bus).await?;
         let sensor = SensorSettings {

@@ -5,6 +5,7 @@ use crate::cli::SimulateArguments;
 use crate::error::AppError;
 use crate::services::{block_on, epoch_now, interrupted};
 use crate::settings::Settings;
+use indicatif::ProgressBar;
 use spandrel_bus::{Bus, Keys, Service};
 use spandrel_record::CsvWriter;
 use spandrel_sensor::{Clocks, NodePlan, SensorError, SensorService, SensorSettings, Speed, simulated_rows};
@@ -32,10 +33,12 @@ pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
     block_on(async {
         let bus = Bus::open(&settings.bus).await?;
         let frames = arguments.duration.map(frames);
+        let bar = progress::bar("simulating", frames);
         let simulated = tokio::select! {
-            simulated = simulate(&bus, &structure, &keys, arguments.speed.into(), seed, frames) => simulated,
+            simulated = simulate(&bus, &structure, &keys, arguments.speed.into(), seed, frames, &bar) => simulated,
             () = interrupted() => Ok(()),
         };
+        bar.finish_and_clear();
         bus.close().await?;
         simulated
     })
@@ -52,12 +55,14 @@ pub async fn simulate(
     speed: Speed,
     seed: u64,
     frames: Option<u64>,
+    bar: &ProgressBar,
 ) -> Result<(), AppError> {
     let epoch = epoch_now();
     let settings = SensorSettings { speed, epoch, wait_for: vec![Service::Ingest, Service::Identify, Service::Alert] };
     let nodes = NodePlan::of(structure, Clocks::AsSimulated).map_err(SensorError::from)?;
     let service = SensorService::start(nodes, structure.sampling_rate_hz(), bus, keys.clone(), settings).await?;
-    let rows = simulated_rows(structure, seed, epoch as i64, frames);
+    let counted = bar.clone();
+    let rows = simulated_rows(structure, seed, epoch as i64, frames).inspect(move |_| counted.inc(1));
     Ok(service.run(rows.map(Ok::<_, Infallible>), std::future::pending()).await?)
 }
 
