@@ -63,6 +63,8 @@ pub struct StructureHeard {
     pub instances: BTreeMap<(Service, Name), InstanceHeard>,
     /// Measurement time (ns) of the newest value.
     pub time_ns: Option<i64>,
+    /// The alert service was there and has gone: its alerts stand until another life of it says what is so.
+    alerts_are_old: bool,
     data_heard: Option<Duration>,
 }
 
@@ -174,6 +176,8 @@ impl Heard {
     }
 
     fn take_present(&mut self, present: &BTreeSet<Instance>) {
+        let had_alerts: BTreeMap<NaturalName, bool> =
+            self.structures.iter().map(|(name, structure)| (name.clone(), structure.has_alert_service())).collect();
         for structure in self.structures.values_mut() {
             structure.instances.values_mut().for_each(|instance| instance.is_present = false);
         }
@@ -187,11 +191,27 @@ impl Heard {
                 None => {}
             }
         }
+        self.settle_alert_services(&had_alerts);
         for structure in self.structures.values_mut() {
             // a node or service that went and never said how it does leaves no trace
             structure.instances.retain(|_, instance| instance.is_present || instance.status.is_some());
         }
         self.structures.retain(|_, structure| !structure.is_silent());
+    }
+
+    /// Forgets the alerts of a service that went and came back; `before` says who had one.
+    fn settle_alert_services(&mut self, before: &BTreeMap<NaturalName, bool>) {
+        for (name, structure) in &mut self.structures {
+            let was_there = before.get(name).copied().unwrap_or(false);
+            match (was_there, structure.has_alert_service()) {
+                (true, false) => structure.alerts_are_old = true,
+                (false, true) if structure.alerts_are_old => {
+                    structure.alerts.clear(); // a new life decides anew, and says so
+                    structure.alerts_are_old = false;
+                }
+                _ => {}
+            }
+        }
     }
 
     /// Returns the structure, made known if there is room; counts what is left out.
@@ -259,6 +279,10 @@ impl StructureHeard {
     fn is_silent(&self) -> bool {
         let Self { parameters, noise, alerts, instances, .. } = self;
         parameters.is_empty() && noise.is_empty() && alerts.is_empty() && instances.is_empty()
+    }
+
+    fn has_alert_service(&self) -> bool {
+        self.instances.iter().any(|((service, _), instance)| *service == Service::Alert && instance.is_present)
     }
 
     /// The alert of a parameter.

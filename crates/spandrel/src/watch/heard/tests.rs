@@ -126,3 +126,23 @@ fn misplaced_messages_and_unknown_services_are_counted() {
     let heard = heard([Input::Misplaced, Input::Status(unknown)]);
     assert_eq!(heard.left_out(), 2);
 }
+
+#[test]
+fn alerts_of_a_service_that_went_stand_until_another_life_of_it_decides() {
+    let there = || present(&[(Service::Alert, "alert")]);
+    let mut heard = heard([there(), Input::Alert(alert("storey-2", 45, AlertState::Raised)), present(&[])]);
+    assert_eq!(heard.open_alerts().len(), 1, "nobody has said that it is over");
+    heard.handle(there(), &mut Vec::new());
+    assert_eq!(heard.open_alerts().len(), 0, "the new life raises again what still stands");
+    let again = alert("storey-2", 60, AlertState::Raised);
+    assert_eq!(changes(&mut heard, Input::Alert(again)), [AlertState::Raised]);
+    heard.handle(there(), &mut Vec::new());
+    assert_eq!(heard.open_alerts().len(), 1);
+}
+
+#[test]
+fn alerts_that_were_asked_for_before_their_service_is_seen_are_kept() {
+    let standing = Input::StandingAlert(alert("storey-2", 45, AlertState::Raised));
+    let heard = heard([standing, present(&[(Service::Alert, "alert")])]);
+    assert_eq!(heard.open_alerts().len(), 1);
+}
