@@ -11,6 +11,7 @@ mod classes;
 mod ekf_bouc_wen;
 mod ekf_bridge;
 mod ekf_oscillator;
+mod ekf_tower;
 mod kalman_building;
 mod kalman_vehicle;
 mod noise_bouc_wen;
@@ -19,6 +20,7 @@ mod noise_chain;
 mod noise_kalman;
 mod outlier_oscillator;
 mod outlier_truss;
+mod particle;
 
 /// One published example.
 #[derive(Debug)]
@@ -41,7 +43,9 @@ const BOOK_4: &str = "Huang & Yuen (2023), chapter 4";
 
 const BOOK_5: &str = "Huang & Yuen (2023), chapter 5";
 
-static CASES: [Case; 19] = [
+const CHING_2006: &str = "Ching, Beck, Porter & Shaikhutdinov (2006)";
+
+static CASES: [Case; 22] = [
     Case {
         name: "kalman.vehicle",
         title: "Tracking of a vehicle with the Kalman filter",
@@ -76,6 +80,13 @@ static CASES: [Case; 19] = [
         source: BOOK_2,
         weight: 30.0,
         run: ekf_bouc_wen::run,
+    },
+    Case {
+        name: "ekf.tower",
+        title: "Tower of 610 m, two stiffnesses from wrong starts (twelve beams in place of 37)",
+        source: BOOK_2,
+        weight: 300.0,
+        run: ekf_tower::run,
     },
     Case {
         name: "noise-kalman.1",
@@ -174,6 +185,20 @@ static CASES: [Case; 19] = [
         source: BOOK_5,
         weight: 400.0,
         run: class_dome::run,
+    },
+    Case {
+        name: "particle.building",
+        title: "Four-storey building whose properties drift, followed by particles",
+        source: CHING_2006,
+        weight: 30.0,
+        run: particle::drifting_building,
+    },
+    Case {
+        name: "particle.hysteretic",
+        title: "Hysteretic oscillator whose properties drift, followed by particles",
+        source: CHING_2006,
+        weight: 60.0,
+        run: particle::hysteretic,
     },
 ];
 

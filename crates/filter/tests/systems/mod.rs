@@ -4,8 +4,11 @@
 
 pub mod bouc_wen;
 pub mod bridge;
+#[path = "../../../validate/src/systems/drifting/building.rs"]
 pub mod drifting_building;
+#[path = "../../../validate/src/systems/drifting/oscillator.rs"]
 pub mod hysteretic;
+#[path = "../../../validate/src/systems/drifting/numerical_ekf.rs"]
 pub mod numerical_ekf;
 #[path = "../../../validate/src/systems/tall_building.rs"]
 pub mod tall_building;

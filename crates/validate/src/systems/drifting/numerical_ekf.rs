@@ -1,4 +1,6 @@
 //! Extended Kalman filter of a [`ParticleModel`] with numerical Jacobians: warm start and comparison (Ching et al. 2006).
+//!
+//! Self-contained: the tests of the filter use it too.
 
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{Interval, ParticleModel};
@@ -80,7 +82,11 @@ impl<M: ParticleModel> NumericalEkf<M> {
         let mut r = DMatrix::zeros(q, q);
         self.model.sensor_covariance(self.mean.as_slice(), &mut r);
         let s = &c * &self.covariance * c.transpose() + &r;
-        let gain = s.cholesky().unwrap().solve(&(&c * &self.covariance)).transpose();
+        let Some(factor) = s.cholesky() else {
+            self.mean.fill(f64::NAN); // seen in every figure
+            return;
+        };
+        let gain = factor.solve(&(&c * &self.covariance)).transpose();
         self.mean += &gain * innovation;
         let rest = DMatrix::identity(n, n) - &gain * c;
         self.covariance = &rest * &self.covariance * rest.transpose() + &gain * r * gain.transpose();

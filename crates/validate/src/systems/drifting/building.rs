@@ -1,4 +1,6 @@
 //! Linear shear building of four storeys whose properties drift (Ching et al. 2006, example 1), with its data.
+//!
+//! Self-contained: the tests of the filter use it too.
 
 use super::{Normal, rms};
 use nalgebra::{DMatrix, DVector};

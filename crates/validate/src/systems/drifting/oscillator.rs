@@ -1,4 +1,6 @@
 //! Hysteretic oscillator with drifting parameters (Ching et al. 2006, example 2), with its data.
+//!
+//! Self-contained: the tests of the filter use it too.
 
 use super::{Normal, rms};
 use nalgebra::{DMatrix, DVector};
