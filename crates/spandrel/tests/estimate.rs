@@ -1,5 +1,5 @@
 //! `spandrel estimate`, the built binary: what it says of a recording, and the particle filter beside the Kalman filter.
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a helper of tests may fail them")]
+#![expect(clippy::unwrap_used, reason = "a helper of tests may fail them")]
 
 use serde_json::Value;
 use std::path::{Path, PathBuf};

@@ -1,5 +1,4 @@
 //! What the demo needs of memory, on systems that tell it of a process (Linux).
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a helper of tests may fail them")]
 #![cfg(target_os = "linux")]
 
 use std::process::{Command, Stdio};

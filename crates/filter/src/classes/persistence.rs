@@ -76,10 +76,10 @@ impl Persistence {
         if len > 2 * steps {
             self.counts[usize::from(self.recent[len - 1 - 2 * steps])][1] -= 1;
         }
-        if len > 4 * steps {
-            if let Some(oldest) = self.recent.pop_front() {
-                self.counts[usize::from(oldest)][0] -= 1;
-            }
+        if len > 4 * steps
+            && let Some(oldest) = self.recent.pop_front()
+        {
+            self.counts[usize::from(oldest)][0] -= 1;
         }
     }
 }

@@ -41,31 +41,24 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         figures.push(Figure::new(format!("f{} (Hz)", mode + 1), report.frequency_hz, required).published(value));
     }
     let is_first = |class| class == ClassId::Component { component: FIRST, substructure: 0 };
-    let first = |from_s: f64, of: &dyn Fn(&ClassEvent) -> bool| {
-        let found = seen.events.iter().find(|(time_s, event)| *time_s >= from_s && of(event));
-        found.map_or(f64::NAN, |(time_s, _)| time_s - from_s)
-    };
-    let up_to = |sector: usize| move |event: &ClassEvent| *event == ClassEvent::LevelUp { substructure: sector };
-    let healed = |bar: usize| -> Box<dyn Fn(&ClassEvent) -> bool> {
-        Box::new(
-            move |event| matches!(event, ClassEvent::Calibrated { by: ClassId::Component { component, .. }, .. } if *component == bar),
-        )
-    };
-    let down = |event: &ClassEvent| matches!(event, ClassEvent::LevelDown { .. });
     let wrong =
         |to_s: f64| seen.calibrations(first_s, to_s).iter().filter(|(_, class)| !is_first(*class)).count() as f64;
     figures.extend([
         Figure::new("calibrations before any damage", seen.calibrations(0.0, first_s).len() as f64, Required::Reported),
         Figure::new(
             "first damage: up to class 1 (s)",
-            first(first_s, &up_to(0)),
+            seen.first_event(first_s, up_to(0)),
             Required::Between { low: 0.0, high: 3.0 },
         )
         .published(2.414),
-        Figure::new("first damage: bar 31 healed (s)", first(first_s, &healed(FIRST)), Required::Reported)
+        Figure::new("first damage: bar 31 healed (s)", seen.first_event(first_s, healed(FIRST)), Required::Reported)
             .published(3.514),
-        Figure::new("first damage: down (s)", first(first_s, &down), Required::Between { low: 0.0, high: 8.0 })
-            .published(6.432),
+        Figure::new(
+            "first damage: down (s)",
+            seen.first_event(first_s, down),
+            Required::Between { low: 0.0, high: 8.0 },
+        )
+        .published(6.432),
         // the records on which the requirement rests are no longer than that
         Figure::new(
             "other bars calibrated within 20 s after the first damage",
@@ -83,11 +76,11 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         .published(0.95),
     ]);
     if run.pick(true, false) {
-        double_damage(&seen, second_s, seconds, &first, &healed, &down, &mut figures);
+        double_damage(&seen, second_s, seconds, &mut figures);
         figures.push(
             Figure::new(
                 "second damage: up to class 4 (s)",
-                first(second_s, &up_to(3)),
+                seen.first_event(second_s, up_to(3)),
                 Required::Between { low: 0.0, high: 3.0 },
             )
             .published(1.890),
@@ -102,17 +95,21 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     Ok(Outcome { figures, tables: Vec::new(), plots })
 }
 
+fn up_to(sector: usize) -> impl Fn(&ClassEvent) -> bool {
+    move |event| *event == ClassEvent::LevelUp { substructure: sector }
+}
+
+fn healed(bar: usize) -> impl Fn(&ClassEvent) -> bool {
+    move |event| matches!(event, ClassEvent::Calibrated { by: ClassId::Component { component, .. }, .. } if *component == bar)
+}
+
+fn down(event: &ClassEvent) -> bool {
+    matches!(event, ClassEvent::LevelDown { .. })
+}
+
 /// Figures of two bars that fail at once.
-fn double_damage(
-    seen: &Comparison,
-    second_s: f64,
-    seconds: f64,
-    first: &dyn Fn(f64, &dyn Fn(&ClassEvent) -> bool) -> f64,
-    healed: &dyn Fn(usize) -> Box<dyn Fn(&ClassEvent) -> bool>,
-    down: &dyn Fn(&ClassEvent) -> bool,
-    figures: &mut Vec<Figure>,
-) {
-    let times = LATER.map(|bar| first(second_s, &*healed(bar)));
+fn double_damage(seen: &Comparison, second_s: f64, seconds: f64, figures: &mut Vec<Figure>) {
+    let times = LATER.map(|bar| seen.first_event(second_s, healed(bar)));
     // a bar that never was is later than any
     let both = times.iter().map(|time_s| if time_s.is_nan() { f64::INFINITY } else { *time_s }).fold(0.0, f64::max);
     let in_time = f64::from(u8::from(both <= 15.0));
@@ -121,7 +118,7 @@ fn double_damage(
         Figure::new("second damage: bar 40 healed (s)", times[1], Required::Reported).published(3.636),
         Figure::new("second damage: both bars healed within 15 s", in_time, Required::AtLeast(1.0))
             .judged(Judgement::TwoThirds),
-        Figure::new("second damage: down (s)", first(second_s, down), Required::Reported).published(7.074),
+        Figure::new("second damage: down (s)", seen.first_event(second_s, down), Required::Reported).published(7.074),
     ]);
     let error = |bar: usize, truth: f64| (seen.courses[bar].mean(seconds - 10.0, seconds) - truth).abs();
     let damaged = [FIRST, LATER[0], LATER[1]];

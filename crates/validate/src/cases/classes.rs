@@ -103,6 +103,12 @@ impl Comparison {
         found.map_or(f64::NAN, |frames| frames as f64 * self.step_s)
     }
 
+    /// Time after `from_s` (s) of the first event of a kind.
+    pub(super) fn first_event(&self, from_s: f64, of: impl Fn(&ClassEvent) -> bool) -> f64 {
+        let found = self.events.iter().find(|(time_s, event)| *time_s >= from_s && of(event));
+        found.map_or(f64::NAN, |(time_s, _)| time_s - from_s)
+    }
+
     /// Times (s) of the calibrations in a window, with the class.
     pub(super) fn calibrations(&self, from_s: f64, to_s: f64) -> Vec<(f64, ClassId)> {
         let calibration = |(time_s, event): &(f64, ClassEvent)| match event {

@@ -266,6 +266,11 @@ pub(super) fn hysteretic(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             (mean(&all[0]) - mean(&all[1])).abs(),
             Required::AtMost(1.0),
         ),
+        Figure::new(
+            "scatter of the log evidences of single runs (standard deviation), prior sampling",
+            rms(all[1].iter().map(|evidence| evidence - mean(&all[1]))),
+            Required::Reported,
+        ),
     ]);
     let plots = tracks.iter().zip(NAMES).map(|(track, name)| track.plot(name, name, 0.0, STEP_S)).collect();
     Ok(Outcome { figures, tables: Vec::new(), plots })
