@@ -181,3 +181,21 @@ async fn an_alert_service_that_was_killed_comes_to_the_same_alert_again() {
     let again = watched.heard_of_storey_2(AlertState::Raised).await;
     assert_eq!(again, raised);
 }
+
+#[test]
+fn log_in_json_is_one_object_a_line() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let record = site.simulate(30.0);
+    let mut command = spandrel("estimate");
+    command.arg(site.structure_file()).arg("--record").arg(record.path()).args(["--log", "json", "-vv"]);
+    let finished = Process::start(&mut command).wait().expect_code(0);
+    let lines: Vec<serde_json::Value> = finished
+        .stderr
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}")))
+        .collect();
+    assert!(!lines.is_empty(), "nothing was logged");
+    for line in &lines {
+        assert!(line["timestamp"].is_string() && line["level"].is_string() && line["fields"].is_object(), "{line}");
+    }
+}

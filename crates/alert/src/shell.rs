@@ -200,7 +200,7 @@ impl AlertService {
             service: self.service.clone(),
             id: self.id.clone(),
             time_ns: now_ns,
-            lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 * 1e-9),
+            lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
             done: self.done,
             drops,
             restarts: 0,
@@ -218,6 +218,6 @@ fn log(structure: &Name, parameter: &Name, alert: &Alert) {
     let (structure, parameter, why) = (structure.as_str(), parameter.as_str(), alert.why.as_str());
     match alert.state {
         AlertState::Raised => warn!(structure, parameter, why, "alert raised"),
-        state => info!(structure, parameter, ?state, why, "alert changed"),
+        state => info!(structure, parameter, state = state.as_str(), why, "alert changed"),
     }
 }

@@ -1,6 +1,7 @@
 //! Prints the parameters of the demo as they are published: run `spandrel demo` beside it.
 
 use spandrel_bus::{Bus, BusConfig, DEFAULT_ENDPOINT, Mode, ParameterDisplay};
+use std::io::Write;
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -9,7 +10,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let topic = config.keys("demo")?.all_parameters();
     let parameters = bus.subscribe::<ParameterDisplay>(topic, 256).await?;
     while let Ok((key, shown)) = parameters.messages().recv_async().await {
-        println!("{key}: {:.3} ± {:.3}", shown.mean, shown.std);
+        writeln!(std::io::stdout(), "{key}: {:.3} ± {:.3}", shown.mean, shown.std)?;
     }
     Ok(())
 }

@@ -234,7 +234,7 @@ impl IdentifyService {
             service: self.service.clone(),
             id: self.id.clone(),
             time_ns: now_ns,
-            lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 * 1e-9),
+            lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
             done: core.map_or(0, Identification::done),
             drops: self.frames.counts().drops(),
             restarts: core.map_or(0, Identification::restarts),

@@ -197,7 +197,7 @@ impl Collector {
         let alerts = self
             .alerts
             .into_iter()
-            .map(|(time_ns, alert)| AlertSummary { time_s: time_ns.saturating_sub(t0_ns) as f64 * 1e-9, ..alert });
+            .map(|(time_ns, alert)| AlertSummary { time_s: time_ns.saturating_sub(t0_ns) as f64 / 1e9, ..alert });
         let (sum, channels) = self.misfit;
         let misfit = (channels > 0.0).then(|| sum / channels);
         Summary {
@@ -241,7 +241,7 @@ impl Summary {
             text.push_str("no alert\n");
         }
         for alert in &self.alerts {
-            let _ = writeln!(text, "{:>9.2} s  {:?}: {}", alert.time_s, alert.state, alert.why);
+            let _ = writeln!(text, "{:>9.2} s  {}: {}", alert.time_s, alert.state.as_str(), alert.why);
         }
         text
     }

@@ -92,6 +92,13 @@ impl fmt::Display for Diagnostic {
     }
 }
 
+/// More mistakes than this are counted, not told: they mostly follow from the first ones.
+const MOST_TOLD: usize = 30;
+
 fn lines(diagnostics: &[Diagnostic]) -> String {
-    diagnostics.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
+    let mut lines: Vec<String> = diagnostics.iter().take(MOST_TOLD).map(ToString::to_string).collect();
+    if let Some(more) = diagnostics.len().checked_sub(MOST_TOLD).filter(|more| *more > 0) {
+        lines.push(format!("and {more} more"));
+    }
+    lines.join("\n")
 }

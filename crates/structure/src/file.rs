@@ -55,6 +55,10 @@ impl<'t> StructureFile<'t> {
             return Ok(Self { text, document });
         }
         let diagnostics = Diagnostics::new(path, text);
+        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv")) {
+            diagnostics.report(0..0, "syntax", "is a recording", "must be a structure file (TOML)");
+            return Err(StructureError::Invalid { diagnostics: diagnostics.into_sorted() });
+        }
         for error in errors {
             let found = error.message().trim().replace('\n', ", ");
             diagnostics.report(error.span().unwrap_or(0..0), "syntax", found, "must be TOML");

@@ -23,6 +23,21 @@ pub enum AlertState {
     Cleared,
 }
 
+impl AlertState {
+    /// Returns the word of the message.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Learning => "learning",
+            Self::Normal => "normal",
+            Self::Pending => "pending",
+            Self::Raised => "raised",
+            Self::Acknowledged => "acknowledged",
+            Self::Cleared => "cleared",
+        }
+    }
+}
+
 /// The state of the alert of one parameter, and why.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AlertMessage {

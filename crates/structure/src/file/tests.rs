@@ -607,3 +607,12 @@ fn mistakes_of_classes_are_named() {
         &["is \"baseline\""],
     );
 }
+
+#[test]
+fn recording_in_the_place_of_a_structure_is_told_in_one_line() {
+    let text = "time,a,b\n".to_owned() + &"0.1,2,3\n".repeat(500);
+    let told = |name: &str| Structure::parse(&text, Path::new(name)).unwrap_err().to_string();
+    assert_eq!(told("monday.csv"), "monday.csv:1: syntax: is a recording, must be a structure file (TOML)");
+    let lines = told("monday.toml").lines().count();
+    assert!((2..=31).contains(&lines), "{lines} lines");
+}
