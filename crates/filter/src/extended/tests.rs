@@ -312,6 +312,100 @@ proptest::proptest! {
         }
     }
 
+    /// With λ = 1, known noises and a linear model the chain of stages is the Kalman filter.
+    #[test]
+    fn linear_chain_is_the_kalman_filter(
+        n in 2_usize..7,
+        entries in proptest::collection::vec(-1.0_f64..1.0, 64),
+        data in proptest::collection::vec(-3.0_f64..3.0, 160),
+    ) {
+        let mut system = random_system(n, &entries);
+        system.system -= DMatrix::identity(n, n) * 6.0; // what grows without bound has no twelve digits
+        let (transition, input) = LinearModel::discretise(&system.system, &system.input, 0.02);
+        let (excitation, sensors) = (DMatrix::from_element(1, 1, 0.3), DMatrix::identity(2, 2) * 1e-2);
+        let linear = LinearModel {
+            transition,
+            input,
+            observation: system.observation.clone(),
+            excitation_covariance: excitation.clone(),
+            sensor_covariance: sensors.clone(),
+        };
+        let mut plain = KalmanFilter::new(linear, DVector::zeros(n), DMatrix::identity(n, n)).unwrap();
+        let noise = NoiseModel::known(excitation, sensors);
+        let settings = FilterSettings::new(0.02, DVector::zeros(n), DVector::repeat(n, 1.0), noise);
+        let mut chain = ExtendedKalmanFilter::new(system, settings).unwrap();
+        for (k, pair) in data.chunks_exact(2).enumerate() {
+            if k > 0 {
+                plain.predict(&[0.0]);
+            }
+            plain.update(pair).unwrap();
+            chain.step(Frame { observations: pair, excitation: &[0.0] }).unwrap();
+            let scale = 1.0 + plain.mean().amax();
+            proptest::prop_assert!((chain.mean() - plain.mean()).amax() < 1e-12 * scale, "mean at {k}");
+            proptest::prop_assert!((chain.covariance() - plain.covariance()).amax() < 1e-12, "covariance at {k}");
+        }
+    }
+
+    #[test]
+    fn dropped_channel_is_one_of_infinite_variance(
+        n in 2_usize..7,
+        entries in proptest::collection::vec(-1.0_f64..1.0, 64),
+        data in proptest::collection::vec(-3.0_f64..3.0, 120),
+        memory in 20.0_f64..5000.0,
+    ) {
+        let filter = |second: f64| {
+            let sensors = DMatrix::from_diagonal(&DVector::from_row_slice(&[1e-2, second]));
+            let noise = NoiseModel::known(DMatrix::from_element(1, 1, 0.3), sensors);
+            let mut settings = FilterSettings::new(0.02, DVector::zeros(n), DVector::repeat(n, 1.0), noise);
+            settings.fading = FadingFactor::from_half_life(memory).unwrap();
+            ExtendedKalmanFilter::new(random_system(n, &entries), settings).unwrap()
+        };
+        let (mut dropped, mut wide) = (filter(1e-2), filter(1e16));
+        for pair in data.chunks_exact(2) {
+            dropped.step(Frame { observations: &[pair[0], f64::NAN], excitation: &[0.0] }).unwrap();
+            wide.step(Frame { observations: pair, excitation: &[0.0] }).unwrap();
+        }
+        let scale = 1.0 + dropped.mean().amax();
+        proptest::prop_assert!((dropped.mean() - wide.mean()).amax() < 1e-9 * scale);
+        let scale = 1.0 + dropped.covariance().amax();
+        proptest::prop_assert!((dropped.covariance() - wide.covariance()).amax() < 1e-9 * scale);
+    }
+
+    /// Stopped anywhere, written, read and gone on with, every stage gives the same bits: noise levels under each rule, and
+    /// outliers.
+    #[test]
+    fn checkpoint_at_any_step_changes_nothing(
+        stop in 1_usize..600,
+        rule in proptest::sample::select(
+            vec![NoiseRule::Fisher, NoiseRule::Published, NoiseRule::HalfOrDouble, NoiseRule::Fixed]
+        ),
+        screens: bool,
+    ) {
+        let settings = || {
+            let mut settings = if screens { screened(3.5) } else { settings() };
+            settings.fading = FadingFactor::from_half_life(500.0).unwrap();
+            settings.annealing = Some(Annealing { amount: 10.0, time_constant_s: 1.0 });
+            settings.noise.sensors.fill(0.0);
+            settings.noise.parameters.push(crate::noise::NoiseParameter {
+                name: "sensors".to_owned(),
+                target: NoiseTarget::Sensors,
+                pattern: DMatrix::identity(2, 2),
+                start: 1e-4,
+                start_std: 3e-5,
+            });
+            settings.noise_settings = NoiseSettings { rule, training_steps: 100, ..NoiseSettings::default() };
+            settings
+        };
+        let mut unbroken = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+        run(&mut unbroken, 0..stop);
+        let bytes = postcard::to_stdvec(unbroken.state()).unwrap();
+        let mut resumed = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+        resumed.restore(postcard::from_bytes(&bytes).unwrap()).unwrap();
+        run(&mut unbroken, stop..600);
+        run(&mut resumed, stop..600);
+        proptest::prop_assert_eq!(unbroken.state(), resumed.state());
+    }
+
     #[test]
     fn order_of_channels_changes_rounding_only(
         entries in proptest::collection::vec(-1.0_f64..1.0, 64),

@@ -280,7 +280,9 @@ fn modulated_excitation_swells_as_declared() {
     let structure = oscillator("[simulation]\nmodulation = { start-s = 20, rise-s = 10 }\n");
     let push: Vec<f64> = structure.simulator(4).take(6000).map(|frame| frame.values[0]).collect();
     let rms = |from: usize| (push[from..from + 200].iter().map(|f| f * f).sum::<f64>() / 200.0).sqrt();
-    for (time_s, expected) in [(10, 1.0), (30, 2.0), (50, 1.0 + 3.0 * (-2.0_f64).exp()), (100, 1.0 + 8.0 * (-7.0_f64).exp())] {
+    for (time_s, expected) in
+        [(10, 1.0), (30, 2.0), (50, 1.0 + 3.0 * (-2.0_f64).exp()), (100, 1.0 + 8.0 * (-7.0_f64).exp())]
+    {
         // 200 samples: the deviation has a standard deviation of 5 %
         let found = rms(50 * time_s - 100) / 10.0;
         assert!((found / expected - 1.0).abs() < 0.2, "{time_s} s: {found} instead of {expected}");
