@@ -52,14 +52,22 @@ pub enum Delivery<B> {
 pub enum Action<B> {
     /// Hand this to the reader.
     Deliver(Delivery<B>),
-    /// Ask the source, and report with [`Follower::answered`], [`Follower::unanswered`] or [`Follower::nobody_there`]; one
-    /// at a time.
+    /// Ask the source, and report with [`Follower::answered`] or [`Follower::unanswered`]; one at a time.
     Fetch {
         /// What to ask for.
         range: QueryRange,
         /// How often this has failed in a row: the shell pauses accordingly.
         failures: u32,
     },
+}
+
+/// Why a fetch has brought nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Silence {
+    /// Nobody has ever been there to answer.
+    NoBuffer,
+    /// Somebody has, but did not answer in time, or not in a way that could be read.
+    NoAnswer,
 }
 
 /// What did not come straight through.
@@ -88,9 +96,9 @@ pub struct FollowCounts {
 const HELD_BLOCKS: usize = 256;
 /// Fetches without an answer after which missing items are given up.
 const MAX_FAILURES: u32 = 8;
-/// The same when there was nobody to ask, every time: a source without a buffer. Not at once, because a buffer may become
-/// known a moment after its first block; soon, because the frames behind do not wait.
-const MAX_FAILURES_WITH_NOBODY: u32 = 4;
+/// The same where nobody is there to ask: with the pauses between them 0.15 s, so that what came behind the gap is not late
+/// as well. More than one, because the word of who answers may come after the first blocks.
+const MAX_FAILURES_WITHOUT_BUFFER: u32 = 3;
 /// The same for a source whose missing items have been given up before, and that has answered nothing since: it keeps none.
 const MAX_FAILURES_OF_A_SILENT_SOURCE: u32 = 1;
 
@@ -103,8 +111,6 @@ pub struct Follower<B> {
     held: BTreeMap<u64, B>,
     fetch: Option<Fetching>,
     failures: u32,
-    /// in all of these failures there was nobody to ask
-    nobody: bool,
     source_is_silent: bool,
     counts: FollowCounts,
 }
@@ -147,7 +153,6 @@ impl<B: Block> Follower<B> {
             held: BTreeMap::new(),
             fetch: None,
             failures: 0,
-            nobody: true,
             source_is_silent: false,
             counts: FollowCounts::default(),
         }
@@ -182,28 +187,17 @@ impl<B: Block> Follower<B> {
         }
     }
 
-    /// The fetch has failed: nobody answered in time, or not in a way that could be read.
-    pub fn unanswered(&mut self, actions: &mut VecDeque<Action<B>>) {
-        self.nobody = false;
-        self.failed(actions);
-    }
-
-    /// The fetch has failed: nobody keeps items of this stream.
-    pub fn nobody_there(&mut self, actions: &mut VecDeque<Action<B>>) {
-        self.nobody |= self.failures == 0;
-        self.failed(actions);
-    }
-
-    fn failed(&mut self, actions: &mut VecDeque<Action<B>>) {
+    /// The fetch has failed.
+    pub fn unanswered(&mut self, silence: Silence, actions: &mut VecDeque<Action<B>>) {
         self.fetch = None;
         if !self.is_missing() {
             return; // a poll: the next one will tell
         }
         self.failures += 1;
-        let most = match (self.source_is_silent, self.nobody) {
-            (true, _) => MAX_FAILURES_OF_A_SILENT_SOURCE,
-            (false, true) => MAX_FAILURES_WITH_NOBODY,
-            (false, false) => MAX_FAILURES,
+        let most = match silence {
+            _ if self.source_is_silent => MAX_FAILURES_OF_A_SILENT_SOURCE,
+            Silence::NoBuffer => MAX_FAILURES_WITHOUT_BUFFER,
+            Silence::NoAnswer => MAX_FAILURES,
         };
         if self.failures >= most {
             self.failures = 0;
@@ -216,7 +210,7 @@ impl<B: Block> Follower<B> {
     fn answered_with(&mut self, block: B, actions: &mut VecDeque<Action<B>>) {
         let asked_after = self.fetch.map(|fetch| fetch.after);
         if !self.enter_epoch(&block, actions) {
-            return self.unanswered(actions);
+            return self.unanswered(Silence::NoAnswer, actions);
         }
         let before = self.counts.delivered_items;
         self.deliver_up_to(block.header().sequence, actions);
@@ -225,7 +219,7 @@ impl<B: Block> Follower<B> {
             next == asked_after && block.end() <= next.unwrap_or(0) && follower.is_missing()
         };
         if stands_still(self) {
-            return self.unanswered(actions);
+            return self.unanswered(Silence::NoAnswer, actions);
         }
         self.accept(block, actions);
         let progress = self.counts.delivered_items - before;
@@ -254,7 +248,7 @@ impl<B: Block> Follower<B> {
         };
         if at.header.epoch < position.epoch {
             self.counts.stale_blocks += 1;
-            return self.unanswered(actions);
+            return self.unanswered(Silence::NoAnswer, actions);
         }
         if at.header.epoch > position.epoch {
             self.change_epoch(at.header.epoch, at.header.source.clone(), actions);
@@ -263,7 +257,7 @@ impl<B: Block> Follower<B> {
         }
         self.see_end(at.header.sequence);
         if self.is_missing() {
-            return self.unanswered(actions); // it is known to exist, but not to this source: ask again
+            return self.unanswered(Silence::NoAnswer, actions); // it is known to exist, but not to this source: ask again
         }
         self.fetch = None;
         self.failures = 0;

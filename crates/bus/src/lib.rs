@@ -40,6 +40,7 @@ mod range;
 mod follow;
 mod ring;
 
+mod buffer;
 mod error;
 mod live;
 mod progress;
@@ -52,7 +53,7 @@ mod subscribe;
 mod testing;
 
 pub use error::{BusError, ZenohError};
-pub use follow::{Action, Delivery, FollowCounts, Follower, Gap, Start};
+pub use follow::{Action, Delivery, FollowCounts, Follower, Gap, Silence, Start};
 pub use grid::{MAX_RATE_HZ, MIN_RATE_HZ, TimeGrid};
 pub use keys::{DEFAULT_ROOT, Keys, Service, Topic, parse_key};
 pub use live::{LiveToken, LiveWatch};

@@ -9,16 +9,14 @@ use std::time::Duration;
 
 use tokio::task::JoinSet;
 use tokio::time::sleep;
-use tracing::{debug, warn};
-use zenoh::Session;
+use tracing::warn;
 use zenoh::pubsub::Subscriber;
-use zenoh::qos::{CongestionControl, Priority};
-use zenoh::query::ConsolidationMode;
 use zenoh::sample::Sample;
 
+use crate::buffer::{Buffer, Fetched};
 use crate::error::BusError;
-use crate::follow::{Action, Delivery, FollowCounts, Follower, Gap, Start};
-use crate::message::{Block, CaughtUp, DecodeError, Message, SampleBlock};
+use crate::follow::{Action, Delivery, FollowCounts, Follower, Gap, Silence, Start};
+use crate::message::{Block, CaughtUp, DecodeError, SampleBlock};
 use crate::range::QueryRange;
 use crate::ring::Answer;
 use crate::session::Bus;
@@ -27,8 +25,6 @@ use crate::session::Bus;
 const LONGEST_PAUSE: Duration = Duration::from_millis(2_400);
 /// Pause before the second try of a fetch; it doubles up to [`LONGEST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_millis(50);
-/// Replies of one query that are looked at; there should be one.
-const REPLIES: usize = 4;
 
 /// How to read a lossless stream.
 #[derive(Clone, Debug)]
@@ -167,14 +163,14 @@ impl Bus {
             })
             .await
             .map_err(|source| BusError::Declare { key: key.clone(), source })?;
+        let buffer = self.buffer(buffer_key, settings.fetch_timeout).await?;
         let reader = Reader {
             follower: Follower::new(settings.start, settings.fetch_limit),
             actions: VecDeque::new(),
             fetch: None,
             polls: 0,
-            session: self.session().clone(),
+            buffer: Arc::new(buffer),
             key,
-            buffer_key,
             settings,
             check: Box::new(check),
             counts: counts.clone(),
@@ -190,11 +186,10 @@ impl Bus {
     pub async fn stream_position(&self, buffer_key: &str, timeout: Duration) -> Option<CaughtUp> {
         // Nobody has so many items: the answer can only be where the stream ends.
         let range = QueryRange { after: u64::MAX, limit: 1, epoch: None };
-        let selector = format!("{buffer_key}?{range}");
-        let session = self.session().clone();
-        match fetch::<SampleBlock>(session, selector, Duration::ZERO, timeout).await {
-            Fetched::Answer(Ok(Answer::CaughtUp(at))) => Some(at),
-            Fetched::Answer(Ok(Answer::Block(_)) | Err(_)) | Fetched::NoAnswer | Fetched::Nobody => None,
+        let buffer = self.buffer(buffer_key.to_owned(), timeout).await.ok()?;
+        match buffer.ask::<SampleBlock>(range).await {
+            Fetched::Answer(Answer::CaughtUp(at)) => Some(at),
+            Fetched::Answer(Answer::Block(_)) | Fetched::Unreadable(_) | Fetched::Nothing(_) => None,
         }
     }
 }
@@ -202,24 +197,13 @@ impl Bus {
 /// Says why a block does not fit its reader, if it does not.
 type Check<B> = Box<dyn Fn(&B) -> Result<(), &'static str> + Send>;
 
-/// What came of a fetch.
-enum Fetched<B> {
-    /// Somebody answered.
-    Answer(Result<Answer<B>, DecodeError>),
-    /// Somebody was asked and did not answer in time, or refused.
-    NoAnswer,
-    /// There was nobody to ask.
-    Nobody,
-}
-
 struct Reader<B> {
     follower: Follower<B>,
     actions: VecDeque<Action<B>>,
     fetch: Option<Pin<Box<dyn Future<Output = Fetched<B>> + Send>>>,
     polls: u32,
-    session: Session,
+    buffer: Arc<Buffer>,
     key: String,
-    buffer_key: String,
     settings: StreamSettings,
     check: Check<B>,
     counts: Arc<Mutex<StreamCounts>>,
@@ -275,17 +259,18 @@ impl<B: Block> Reader<B> {
     fn fetched(&mut self, fetched: Fetched<B>) {
         self.fetch = None;
         match fetched {
-            Fetched::Answer(Ok(Answer::Block(block))) if !self.fits(&block) => {
-                self.follower.unanswered(&mut self.actions);
-            }
-            Fetched::Answer(Ok(answer)) => self.follower.answered(answer, &mut self.actions),
-            Fetched::Answer(Err(error)) => {
+            Fetched::Answer(Answer::Block(block)) if !self.fits(&block) => self.unanswered(Silence::NoAnswer),
+            Fetched::Answer(answer) => self.follower.answered(answer, &mut self.actions),
+            Fetched::Unreadable(error) => {
                 self.refuse(&error);
-                self.follower.unanswered(&mut self.actions);
+                self.unanswered(Silence::NoAnswer);
             }
-            Fetched::NoAnswer => self.follower.unanswered(&mut self.actions),
-            Fetched::Nobody => self.follower.nobody_there(&mut self.actions),
+            Fetched::Nothing(silence) => self.unanswered(silence),
         }
+    }
+
+    fn unanswered(&mut self, silence: Silence) {
+        self.follower.unanswered(silence, &mut self.actions);
     }
 
     /// Whether a block fits; if not it is counted, and logged each time the count has doubled.
@@ -329,12 +314,11 @@ impl<B: Block> Reader<B> {
             0 => Duration::ZERO,
             n => (FIRST_PAUSE * 2_u32.pow((n - 1).min(8))).min(LONGEST_PAUSE),
         };
-        self.fetch = Some(Box::pin(fetch(
-            self.session.clone(),
-            format!("{}?{range}", self.buffer_key),
-            pause,
-            self.settings.fetch_timeout,
-        )));
+        let buffer = self.buffer.clone();
+        self.fetch = Some(Box::pin(async move {
+            sleep(pause).await;
+            buffer.ask(range).await
+        }));
     }
 }
 
@@ -344,44 +328,4 @@ async fn answer_of<B>(fetch: &mut Option<Pin<Box<dyn Future<Output = Fetched<B>>
         Some(fetch) => fetch.await,
         None => std::future::pending().await,
     }
-}
-
-async fn fetch<B: Block>(session: Session, selector: String, pause: Duration, timeout: Duration) -> Fetched<B> {
-    sleep(pause).await;
-    let (replies, received) = flume::bounded(REPLIES);
-    let asked = session
-        .get(&selector)
-        .consolidation(ConsolidationMode::None)
-        .timeout(timeout)
-        // The answer inherits both: it overtakes the live blocks, and never makes the source wait.
-        .priority(Priority::DataHigh)
-        .congestion_control(CongestionControl::Drop)
-        .callback(move |reply| drop(replies.try_send(reply)))
-        .await;
-    if let Err(error) = asked {
-        debug!(selector, %error, "query not sent");
-        return Fetched::NoAnswer;
-    }
-    let mut fetched = Fetched::Nobody;
-    while let Ok(reply) = received.recv_async().await {
-        match reply.result() {
-            Ok(sample) => return Fetched::Answer(read_answer(sample)),
-            Err(error) => {
-                fetched = Fetched::NoAnswer; // a timeout is told in this way, too
-
-                let text = error.payload().try_to_string();
-                debug!(selector, error = ?text, "query refused");
-            }
-        }
-    }
-    fetched
-}
-
-fn read_answer<B: Block>(sample: &Sample) -> Result<Answer<B>, DecodeError> {
-    let encoding = sample.encoding().to_string();
-    let payload = sample.payload().to_bytes();
-    if encoding == CaughtUp::encoding() {
-        return CaughtUp::decode(&encoding, &payload).map(Answer::CaughtUp);
-    }
-    B::decode(&encoding, &payload).map(Answer::Block)
 }

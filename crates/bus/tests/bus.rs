@@ -3,6 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
 
 use std::net::TcpListener;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use spandrel_bus::{
@@ -10,6 +12,10 @@ use spandrel_bus::{
     NumberedPublisher, NumberedStream, Service, Start, Stream, StreamSettings, StreamState,
 };
 use tokio::time::timeout;
+use zenoh::Wait;
+use zenoh::pubsub::Publisher;
+use zenoh::qos::CongestionControl;
+use zenoh::query::Query;
 
 /// Only ends a hang.
 const DEADLINE: Duration = Duration::from_secs(60);
@@ -137,6 +143,66 @@ async fn what_the_ring_has_forgotten_is_a_gap() {
         panic!("{delivery:?}");
     };
     assert_eq!((gap.epoch, gap.from, gap.to), (1, 0, 90));
+}
+
+/// A publisher as a program of somebody else has it, who keeps nothing; there is a reader by now.
+async fn publisher_by_hand(bus: &Bus) -> Publisher<'static> {
+    let declared = bus.session().declare_publisher(keys().frames()).encoding(FrameBlock::encoding());
+    let publisher = declared.congestion_control(CongestionControl::Block).await.unwrap();
+    let readers = publisher.matching_listener().await.unwrap();
+    while !timeout(DEADLINE, readers.recv_async()).await.expect("no reader").unwrap().matching() {}
+    publisher
+}
+
+/// Numbers of the items that come up to item `end`; `None` for a number lost.
+async fn numbers_up_to(stream: &Stream<FrameBlock>, end: u64) -> Vec<Option<u64>> {
+    let mut numbers = Vec::new();
+    while (numbers.len() as u64) < end {
+        let delivery = timeout(DEADLINE, stream.deliveries().recv_async()).await;
+        match delivery.expect("the stream hangs").unwrap() {
+            Delivery::Block(block) => numbers.extend(block.values.iter().map(|value| Some(*value as u64))),
+            Delivery::Gap(gap) => numbers.extend((gap.from..gap.to).map(|_| None)),
+        }
+    }
+    numbers
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn of_a_source_without_buffer_only_the_blocks_not_sent_are_lost() {
+    let (first, second) = pair().await;
+    let stream = reader(&second, StreamSettings::new(Start::Beginning)).await;
+    let publisher = publisher_by_hand(&first).await;
+    // Fewer than find room in the queue of the reader, and behind a gap.
+    for block in (0..100).filter(|block| ![3, 70].contains(block)) {
+        publisher.put(frames(1, block * 10, 10).encode().unwrap()).await.unwrap();
+    }
+    let numbers = numbers_up_to(&stream, 1_000).await;
+    let is_lost = |number: u64| [3, 70].contains(&(number / 10));
+    let lost = |numbers: &[Option<u64>]| numbers.iter().filter(|number| number.is_none()).count();
+    assert_eq!(lost(&numbers), 20, "items lost");
+    assert_eq!(numbers, (0..1_000).map(|number| (!is_lost(number)).then_some(number)).collect::<Vec<_>>());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_source_too_busy_to_answer_at_first_loses_nothing() {
+    const UNANSWERED: usize = 5;
+    let (first, second) = pair().await;
+    let asked = Arc::new(AtomicUsize::new(0));
+    let (counted, missed) = (asked.clone(), frames(1, 5, 5).encode().unwrap());
+    let answer = move |query: Query| {
+        // A query that is dropped ends without a reply, as those do that nobody is there for.
+        if counted.fetch_add(1, Ordering::Relaxed) >= UNANSWERED {
+            let key = query.key_expr().clone();
+            query.reply(key, missed.clone()).encoding(FrameBlock::encoding()).wait().unwrap();
+        }
+    };
+    let _buffer = first.session().declare_queryable(keys().recording()).callback(answer).await.unwrap();
+    let stream = reader(&second, StreamSettings::new(Start::Beginning)).await;
+    let publisher = publisher_by_hand(&first).await;
+    publisher.put(frames(1, 0, 5).encode().unwrap()).await.unwrap();
+    publisher.put(frames(1, 10, 5).encode().unwrap()).await.unwrap();
+    read_all(&stream, 15).await;
+    assert!(asked.load(Ordering::Relaxed) > UNANSWERED);
 }
 
 #[tokio::test(flavor = "multi_thread")]

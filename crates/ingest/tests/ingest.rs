@@ -7,11 +7,12 @@ use std::net::TcpListener;
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, Bus, BusConfig, Delivery, FrameBlock, Header, Keys, Name, NumberedPublisher, NumberedStream, Pace,
+    Block, Bus, BusConfig, Delivery, FrameBlock, Header, Keys, Message, Name, NumberedPublisher, NumberedStream, Pace,
     SampleBlock, Service, Start, Status, Stream, StreamSettings, StreamState,
 };
 use spandrel_ingest::{IngestService, IngestSettings, Layout, NodeLayout, Waiting};
 use tokio::time::timeout;
+use zenoh::qos::CongestionControl;
 
 /// Only ends a hang.
 const DEADLINE: Duration = Duration::from_secs(60);
@@ -35,8 +36,12 @@ fn name(text: &str) -> Name {
 }
 
 async fn start_ingest(bus: &Bus, waiting: Waiting) -> tokio::task::JoinHandle<()> {
-    let node = |text| NodeLayout { name: name(text), ranges: vec![1e9] };
-    let layout = Layout::new(vec![node("base"), node("roof")], 200.0, 0.0025).unwrap();
+    start_ingest_of(bus, &["base", "roof"], waiting).await
+}
+
+async fn start_ingest_of(bus: &Bus, nodes: &[&str], waiting: Waiting) -> tokio::task::JoinHandle<()> {
+    let nodes = nodes.iter().map(|node| NodeLayout { name: name(node), ranges: vec![1e9] });
+    let layout = Layout::new(nodes.collect(), 200.0, 0.0025).unwrap();
     let settings = IngestSettings { id: name("ingest-1"), epoch: 1, waiting };
     let service = IngestService::start_with(layout, bus, keys(), settings).await.unwrap();
     tokio::spawn(async move { service.run(pending()).await.unwrap() })
@@ -130,6 +135,40 @@ async fn a_silent_node_is_waited_for_as_long_as_allowed_only() {
     base.put(samples("base", 1, 0, 3)).await.unwrap();
     let block = next(&stream).await;
     assert!(block.values[0] == 0.0 && block.values[1].is_nan());
+    ingest.abort();
+}
+
+// What came behind a gap was held back for 5.5 s, while a source was asked that keeps nothing: longer than frames wait.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_block_lost_of_a_node_without_buffer_costs_the_frames_of_that_block_only() {
+    const BLOCKS: u64 = 100;
+    const LOST: u64 = 40;
+    let (first, second) = pair().await;
+    // The lateness of two nodes decides, the third is what is late.
+    let nodes = ["base", "middle", "roof"];
+    let ingest = start_ingest_of(&second, &nodes, Waiting::Limited(Duration::from_secs(4))).await;
+    let (base, middle) = (node(&first, "base").await, node(&first, "middle").await);
+    let stream = frames(&first).await;
+    let mut ready = first.watch_live(keys().all_live(Service::Ingest)).await.unwrap();
+    timeout(DEADLINE, ready.some()).await.expect("no ingest");
+    for block in 0..BLOCKS {
+        let (from, to) = (block * 10, (block + 1) * 10);
+        base.put(samples("base", 1, from, to)).await.unwrap();
+        middle.put(samples("middle", 1, from, to)).await.unwrap();
+        if block != LOST {
+            let by_hand = samples("roof", 1, from, to).encode().unwrap();
+            let put = first.session().put(keys().samples(&name("roof")), by_hand);
+            put.encoding(SampleBlock::encoding()).congestion_control(CongestionControl::Block).await.unwrap();
+        }
+    }
+    let (mut done, mut without) = (0, Vec::new());
+    while done < 10 * BLOCKS {
+        let block = next(&stream).await;
+        without.extend(block.iter().filter(|(_, frame)| frame[2].is_nan()).map(|(number, _)| number));
+        done = block.end();
+    }
+    assert_eq!(without.len(), 10, "frames without a sample of the node");
+    assert_eq!((without[0], without[9]), (10 * LOST, 10 * LOST + 9), "first and last of them");
     ingest.abort();
 }
 

@@ -63,15 +63,12 @@ impl Rig {
     }
 
     fn fail(&mut self) {
-        if self.fetch.take().is_some() {
-            self.follower.unanswered(&mut self.actions);
-            self.work();
-        }
+        self.fail_with(Silence::NoAnswer);
     }
 
-    fn find_nobody(&mut self) {
+    fn fail_with(&mut self, silence: Silence) {
         if self.fetch.take().is_some() {
-            self.follower.nobody_there(&mut self.actions);
+            self.follower.unanswered(silence, &mut self.actions);
             self.work();
         }
     }
@@ -238,6 +235,23 @@ fn a_source_that_is_gone_leaves_an_explicit_gap_after_a_few_tries() {
     assert_eq!(rig.fetch, None);
 }
 
+// Eight tries took 5.5 s, and what was held back behind the gap came too late for its frames.
+#[test]
+fn a_source_that_nobody_answers_for_leaves_a_gap_after_three_tries() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    let first = rig.put(1);
+    rig.put(1);
+    let third = rig.put(1);
+    rig.live(first);
+    rig.live(third);
+    for tries in 0..3 {
+        assert_eq!(rig.items(), [Some(0)], "after {tries} tries");
+        rig.fail_with(Silence::NoBuffer);
+    }
+    assert_eq!(rig.items(), [Some(0), None, Some(2)]);
+    assert_eq!(rig.fetch, None);
+}
+
 #[test]
 fn a_stale_epoch_is_dropped_and_counted() {
     let mut rig = Rig::new(Start::Beginning, 100, 10);
@@ -358,42 +372,6 @@ fn run(rig: &mut Rig, steps: &[Step]) {
     }
     rig.settle();
     rig.settle();
-}
-
-#[test]
-fn items_of_a_source_that_keeps_nothing_are_given_up_soon_and_then_at_once() {
-    let mut rig = Rig::new(Start::Beginning, 64, 16);
-    let (first, _lost, third) = (rig.put(4), rig.put(4), rig.put(4));
-    rig.find_nobody();
-    rig.live(first);
-    rig.live(third);
-    for _ in 1..MAX_FAILURES_WITH_NOBODY {
-        rig.find_nobody();
-        assert_eq!(rig.items().len(), 4, "not yet");
-    }
-    rig.find_nobody();
-    assert_eq!(rig.items()[4..8], [None; 4]);
-    assert_eq!(rig.items()[8..], [Some(8), Some(9), Some(10), Some(11)]);
-    let (_lost, fifth) = (rig.put(4), rig.put(4));
-    rig.live(fifth);
-    rig.find_nobody();
-    assert_eq!(rig.items().len(), 20, "it is known to keep nothing");
-}
-
-#[test]
-fn source_that_was_there_once_gets_full_patience() {
-    let mut rig = Rig::new(Start::Beginning, 64, 16);
-    let (first, second, third) = (rig.put(4), rig.put(4), rig.put(4));
-    rig.live(first);
-    rig.live(third);
-    rig.fail(); // asked, and too busy to answer
-    for _ in 0..MAX_FAILURES_WITH_NOBODY + 1 {
-        rig.find_nobody(); // its link is down for a moment
-    }
-    assert_eq!(rig.items().len(), 4);
-    rig.live(second);
-    assert_eq!(rig.items().len(), 12);
-    assert!(rig.items().iter().all(Option::is_some));
 }
 
 proptest! {

@@ -1,0 +1,115 @@
+//! Asks the source of a lossless stream for what was missed.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use tracing::debug;
+use zenoh::matching::MatchingStatus;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{ConsolidationMode, Querier};
+
+use crate::error::BusError;
+use crate::follow::Silence;
+use crate::message::{Block, CaughtUp, DecodeError, Message};
+use crate::range::QueryRange;
+use crate::ring::Answer;
+use crate::session::Bus;
+
+/// Replies of one query that are looked at; there should be one.
+const REPLIES: usize = 4;
+
+/// What came of a query.
+#[derive(Debug)]
+pub(crate) enum Fetched<B> {
+    /// An answer that can be read.
+    Answer(Answer<B>),
+    /// One that cannot.
+    Unreadable(DecodeError),
+    /// None.
+    Nothing(Silence),
+}
+
+/// The buffer of one stream, as its reader sees it.
+#[derive(Debug)]
+pub(crate) struct Buffer {
+    querier: Querier<'static>,
+    /// Whether somebody has ever answered for this key. One who did and is gone may only have lost its link.
+    seen: Arc<AtomicBool>,
+}
+
+impl Bus {
+    /// Declares that what was missed will be asked for on `key`, with answers within `timeout`.
+    pub(crate) async fn buffer(&self, key: String, timeout: Duration) -> Result<Buffer, BusError> {
+        let declared = self
+            .session()
+            .declare_querier(key.clone())
+            .consolidation(ConsolidationMode::None)
+            .timeout(timeout)
+            // The answer inherits both: it overtakes the live blocks, and never makes the source wait.
+            .priority(Priority::DataHigh)
+            .congestion_control(CongestionControl::Drop)
+            .await;
+        let refused = |source| BusError::Declare { key, source };
+        let querier = match declared {
+            Ok(querier) => querier,
+            Err(source) => return Err(refused(source)),
+        };
+        let seen = Arc::new(AtomicBool::new(false));
+        let sees = seen.clone();
+        let note = move |status: MatchingStatus| {
+            sees.fetch_or(status.matching(), Ordering::Relaxed);
+        };
+        match querier.matching_listener().callback(note).background().await {
+            Ok(()) => Ok(Buffer { querier, seen }),
+            Err(source) => Err(refused(source)),
+        }
+    }
+}
+
+impl Buffer {
+    /// Asks for a range of items, and waits for the answer.
+    ///
+    /// That a query ends without a reply does not tell whether there is somebody: a source with too many queries waiting
+    /// drops them, and the network drops replies.
+    pub(crate) async fn ask<B: Block>(&self, range: QueryRange) -> Fetched<B> {
+        let (replies, received) = flume::bounded(REPLIES);
+        let range = range.to_string();
+        let asked =
+            self.querier.get().parameters(range.as_str()).callback(move |reply| drop(replies.try_send(reply))).await;
+        let key = self.querier.key_expr().as_str();
+        if let Err(error) = asked {
+            debug!(key, range, %error, "query not sent");
+            return Fetched::Nothing(self.silence());
+        }
+        while let Ok(reply) = received.recv_async().await {
+            match reply.result() {
+                Ok(sample) => {
+                    return match read_answer(&sample.encoding().to_string(), &sample.payload().to_bytes()) {
+                        Ok(answer) => Fetched::Answer(answer),
+                        Err(error) => Fetched::Unreadable(error),
+                    };
+                }
+                Err(error) => {
+                    let text = error.payload().try_to_string();
+                    debug!(key, range, error = ?text, "query refused");
+                }
+            }
+        }
+        Fetched::Nothing(self.silence())
+    }
+
+    fn silence(&self) -> Silence {
+        match self.seen.load(Ordering::Relaxed) {
+            true => Silence::NoAnswer,
+            false => Silence::NoBuffer,
+        }
+    }
+}
+
+fn read_answer<B: Block>(encoding: &str, payload: &[u8]) -> Result<Answer<B>, DecodeError> {
+    if encoding == CaughtUp::encoding() {
+        return CaughtUp::decode(encoding, payload).map(Answer::CaughtUp);
+    }
+    B::decode(encoding, payload).map(Answer::Block)
+}
