@@ -199,3 +199,46 @@ fn log_in_json_is_one_object_a_line() {
         assert!(line["timestamp"].is_string() && line["level"].is_string() && line["fields"].is_object(), "{line}");
     }
 }
+
+/// Nothing was put of a parameter before it changed, so that a fresh view showed a dash and a script got no reply.
+#[tokio::test(flavor = "multi_thread")]
+async fn whoever_asks_learns_that_a_sound_parameter_is_normal() {
+    let rule = "[[alert]]\nparameters = [\"storey-1\"]\nloss = 0.2\ncredibility = 0.99\nreference = \"design\"\n";
+    let watched = Watched::start(rule).await;
+    let view = watched.site.watch();
+    let record = watched.site.simulate(20.0);
+    watched.site.replay(&record, "max").wait().expect_code(0);
+    let is_normal =
+        |said: &str| said.lines().any(|line| line.contains("storey-1 ") && line.contains(" normal, storey-2 "));
+    view.wait_for_output("storey-1 … normal, storey-2 …", is_normal);
+    let keys = watched.site.keys();
+    let later = watched.site.join().await;
+    let answers = later.ask::<AlertMessage>(&keys.all_alerts(), DEADLINE).await.unwrap();
+    let told: Vec<(&str, AlertState, f64)> =
+        answers.iter().map(|(_, alert)| (alert.parameter.as_str(), alert.state, alert.rule_loss)).collect();
+    assert_eq!(told, [("storey-1", AlertState::Normal, 0.2)], "no rule watches storey 2");
+    let afresh = watched.site.watch();
+    let live = watched.site.replay(&record, "10");
+    afresh.wait_for_output("storey-1 … normal, storey-2 …", is_normal);
+    drop(live);
+}
+
+/// The view kept on showing what an alert service had said that was there no more.
+#[tokio::test(flavor = "multi_thread")]
+async fn alerts_of_an_alert_service_that_was_killed_are_stale_until_its_next_life_speaks() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let ingest = Process::start(&mut site.listening("ingest"));
+    ingest.wait_for_log("ready structures=1");
+    let _identify = Process::start(&mut site.connecting("identify"));
+    let alert = Process::start(&mut site.connecting("alert"));
+    let mut watched = Watched::join(site, ingest).await;
+    let view = watched.site.watch();
+    let record = watched.site.simulate(60.0);
+    watched.replay_until(&record, AlertState::Raised).await;
+    view.wait_for_output("raised;", |said| said.contains(" raised;"));
+    alert.kill();
+    view.wait_for_output("raised (stale);", |said| said.contains(" raised (stale);"));
+    let before = view.output().len();
+    let _alert = Process::start(&mut watched.site.connecting("alert"));
+    view.wait_for_output("raised; again", |said| said[before..].contains(" raised;"));
+}

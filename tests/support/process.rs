@@ -68,6 +68,17 @@ impl Process {
         assert!(said.contains(text), "spandrel {}\n  expected in its log: {text}\n  found:\n{said}", self.name);
     }
 
+    /// Waits until `is_there` is true of its standard output.
+    pub fn wait_for_output(&self, what: &str, is_there: impl Fn(&str) -> bool) {
+        let said = self.stdout.wait_until(&is_there);
+        assert!(is_there(&said), "spandrel {}\n  expected in its output: {what}\n  found:\n{said}", self.name);
+    }
+
+    /// What it has said on standard output so far.
+    pub fn output(&self) -> String {
+        self.stdout.so_far()
+    }
+
     /// Gives it the line that it waits for.
     pub fn write_line(&mut self) {
         self.child.stdin.as_mut().unwrap().write_all(b"\n").unwrap();

@@ -110,6 +110,12 @@ impl Site {
         Process::start(command.args(["--root", &self.root, "--connect", &self.endpoint]))
     }
 
+    /// Starts a view that prints lines.
+    pub fn watch(&self) -> Process {
+        let mut command = spandrel("watch");
+        Process::start(command.args(["--root", &self.root, "--connect", &self.endpoint]))
+    }
+
     /// A session of the test itself, connected to the process that listens.
     pub async fn join(&self) -> Bus {
         let config = BusConfig {

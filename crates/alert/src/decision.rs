@@ -141,6 +141,12 @@ impl Decision {
         self.last_alert.as_ref()
     }
 
+    /// Where the parameter stands at the last estimate, for a decision that has had nothing to announce; `None` before the
+    /// first estimate.
+    pub fn unannounced(&self) -> Option<Alert> {
+        self.alert(self.state()).filter(|_| self.last_alert.is_none())
+    }
+
     /// The parameter watched.
     pub fn subject(&self) -> &Subject {
         &self.subject

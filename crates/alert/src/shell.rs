@@ -42,6 +42,8 @@ pub struct AlertService {
 struct AlertTopic {
     parameter: Name,
     publisher: LatestPublisher<AlertMessage>,
+    /// Whether anything has been put: before that nobody can know how the parameter stands.
+    is_told: bool,
 }
 
 impl AlertService {
@@ -63,7 +65,7 @@ impl AlertService {
         for parameter in structure.parameters() {
             let parameter = name(parameter.name())?;
             let publisher = bus.publish_latest(keys.alert(&parameter)).await?;
-            alerts.push(AlertTopic { parameter, publisher });
+            alerts.push(AlertTopic { parameter, publisher, is_told: false });
         }
         let acknowledgements = bus.subscribe(keys.all_acknowledgements(), ACKNOWLEDGEMENTS_WAITING).await?;
         let settings = bus.reading(Start::Beginning);
@@ -134,6 +136,7 @@ impl AlertService {
             self.refuse("estimates-of-another-structure", &error);
         }
         self.publish(alerts).await?;
+        self.publish_first().await?;
         self.done = block.end();
         if let (Some(grid), Some(last)) = (block.grid(), block.end().checked_sub(1)) {
             self.last_time_ns = Some(grid.time_ns(last));
@@ -163,7 +166,8 @@ impl AlertService {
         let structure = self.keys.structure();
         let mut last_put: BTreeMap<usize, Alert> = BTreeMap::new();
         for alert in alerts {
-            if let Some(topic) = self.alerts.get(alert.parameter) {
+            if let Some(topic) = self.alerts.get_mut(alert.parameter) {
+                topic.is_told = true;
                 log(structure, &topic.parameter, &alert);
                 topic.publisher.put(&alert.to_message(structure, &topic.parameter)).await?;
                 last_put.insert(alert.parameter, alert);
@@ -173,6 +177,19 @@ impl AlertService {
             let standing = self.watch.standing(parameter).filter(|standing| standing.rule != last.rule);
             if let (Some(topic), Some(standing)) = (self.alerts.get(parameter), standing) {
                 topic.publisher.put(&standing.to_message(structure, &topic.parameter)).await?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Puts where a parameter stands that has not changed since the first estimate: who comes later, and who remembers an
+    /// earlier life of this service, learns that it is normal.
+    async fn publish_first(&mut self) -> Result<(), AlertError> {
+        let structure = self.keys.structure();
+        for (index, topic) in self.alerts.iter_mut().enumerate().filter(|(_, topic)| !topic.is_told) {
+            if let Some(alert) = self.watch.unannounced(index) {
+                topic.publisher.put(&alert.to_message(structure, &topic.parameter)).await?;
+                topic.is_told = true;
             }
         }
         Ok(())

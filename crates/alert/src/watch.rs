@@ -92,6 +92,14 @@ impl Watch {
             .max_by(|a, b| severity(a.state).cmp(&severity(b.state)).then(a.rule_loss.total_cmp(&b.rule_loss)))
     }
 
+    /// Where a parameter stands of which nothing has been announced, against the first rule that watches it; `None` before
+    /// the first estimate that is decided on, without a rule, and once there was something to announce.
+    pub fn unannounced(&self, parameter: usize) -> Option<Alert> {
+        let of_parameter = || self.decisions.iter().filter(|decision| decision.subject().parameter == parameter);
+        let is_announced = of_parameter().any(|decision| decision.last_alert().is_some());
+        of_parameter().next().filter(|_| !is_announced)?.unannounced()
+    }
+
     /// The decisions, by rule and parameter in the order of the structure file.
     pub fn decisions(&self) -> &[Decision] {
         &self.decisions

@@ -27,9 +27,6 @@ const STATUS_EVERY: Duration = Duration::from_secs(1);
 const DEADLINE_EVERY: Duration = Duration::from_millis(50);
 /// A node without token is lost when nothing of it has arrived for this long: its last blocks may still be on their way.
 const GRACE: Duration = Duration::from_secs(2);
-/// Blocks of all nodes that wait for the alignment; when it is full, the readers of the nodes wait.
-const BLOCKS_WAITING: usize = 64;
-
 /// How long a frame waits for late samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Waiting {
@@ -84,6 +81,8 @@ pub struct IngestService {
     pace: Pace,
     done: u64,
     last_time_ns: Option<i64>,
+    /// Blocks of all nodes that wait for the alignment; when it is full, the readers of the nodes wait.
+    blocks_waiting: usize,
     token: LiveToken,
 }
 
@@ -150,6 +149,7 @@ impl IngestService {
             pace: Pace::Live,
             done: 0,
             last_time_ns: None,
+            blocks_waiting: bus.reading(Start::Beginning).deliveries,
             // Last, because sources start when they see it: the readers above are there by then.
             token: bus.announce(keys.live(Service::Ingest, &id)).await?,
             layout,
@@ -173,7 +173,7 @@ impl IngestService {
     /// The bus is closed underneath.
     pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), IngestError> {
         tokio::pin!(stop);
-        let (arrivals, arrived) = flume::bounded(BLOCKS_WAITING);
+        let (arrivals, arrived) = flume::bounded(self.blocks_waiting);
         let mut forwarding = JoinSet::new();
         for (node, stream) in self.nodes.iter().enumerate() {
             forwarding.spawn(forward(node, stream.deliveries().clone(), arrivals.clone()));

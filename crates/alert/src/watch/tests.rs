@@ -73,6 +73,18 @@ fn most_severe_rule_stands_for_its_parameter() {
 }
 
 #[test]
+fn what_has_not_changed_stands_as_the_first_rule_of_its_parameter_says() {
+    let stands = |watch: &Watch, parameter| watch.unannounced(parameter).map(|alert| (alert.state, alert.rule_loss));
+    let mut watch = watch();
+    assert_eq!((stands(&watch, 0), stands(&watch, 1)), (None, None), "nothing is known before the first estimate");
+    alerts_of(&mut watch, &block(1, 0, vec![estimate([1.0, 1.0], 0.01, Phase::Working)]));
+    let normal = Some((AlertState::Normal, 0.05));
+    assert_eq!((stands(&watch, 0), stands(&watch, 1)), (normal, normal));
+    alerts_of(&mut watch, &block(1, 1, vec![estimate([1.0, 0.86], 0.01, Phase::Working)]));
+    assert_eq!((stands(&watch, 0), stands(&watch, 1)), (normal, None), "storey 2 is announced as pending");
+}
+
+#[test]
 fn training_frames_decide_nothing() {
     let found = alerts_of(&mut watch(), &block(1, 0, vec![estimate([0.5, 0.5], 0.01, Phase::Training); 50]));
     assert_eq!(found, []);

@@ -24,7 +24,7 @@ pub enum AlertState {
 }
 
 impl AlertState {
-    /// Returns the word of the message.
+    /// The state in one word, as in the message.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {

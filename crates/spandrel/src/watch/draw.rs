@@ -39,7 +39,8 @@ q, Esc        quit
 │      what a loss is counted from
 ▁▄█    the last minutes on the axis of the bars
 
-–             no alert heard of
+–             no rule has decided on it yet
+stale         the alert service that said so is gone
 learning      the sound value is being learnt
 normal        no loss with the credibility asked for
 pending       a loss, not yet for as long as asked for

@@ -60,11 +60,11 @@ pub struct StructureHeard {
     pub parameters: BTreeMap<NaturalName, ParameterHeard>,
     pub noise: BTreeMap<NaturalName, NoiseDisplay>,
     pub alerts: BTreeMap<NaturalName, AlertMessage>,
+    /// Alerts of which the service that told them has gone; another one has not said anything of them yet.
+    stale_alerts: BTreeSet<NaturalName>,
     pub instances: BTreeMap<(Service, Name), InstanceHeard>,
     /// Measurement time (ns) of the newest value.
     pub time_ns: Option<i64>,
-    /// The alert service was there and has gone: its alerts stand until another life of it says what is so.
-    alerts_are_old: bool,
     data_heard: Option<Duration>,
 }
 
@@ -92,9 +92,9 @@ impl Heard {
             Input::Noise(display) => self.take_noise(display),
             Input::Alert(alert) => self.take_alert(alert, changes),
             Input::StandingAlert(alert) => {
-                // what came by itself meanwhile is at least as new
+                // what came by itself meanwhile is at least as new, unless it is that of an earlier life
                 let known = self.structure(&alert.structure).and_then(|structure| structure.alert(&alert.parameter));
-                if known.is_none_or(|known| known.time_ns < alert.time_ns) {
+                if known.is_none_or(|known| known.time_ns < alert.time_ns || self.is_stale(known)) {
                     self.take_alert(alert, changes);
                 }
             }
@@ -151,8 +151,13 @@ impl Heard {
             self.left_out += 1;
             return;
         }
-        if structure.alerts.get(&name) != Some(&alert) {
-            changes.push(alert.clone());
+        structure.stale_alerts.remove(&name);
+        let known = structure.alerts.get(&name);
+        if known != Some(&alert) {
+            // that all is well is no news of what nothing was known of
+            if known.is_some() || alert.state != AlertState::Normal {
+                changes.push(alert.clone());
+            }
             structure.alerts.insert(name, alert);
         }
     }
@@ -176,8 +181,12 @@ impl Heard {
     }
 
     fn take_present(&mut self, present: &BTreeSet<Instance>) {
-        let had_alerts: BTreeMap<NaturalName, bool> =
-            self.structures.iter().map(|(name, structure)| (name.clone(), structure.has_alert_service())).collect();
+        let had_alert_service: Vec<NaturalName> = self
+            .structures
+            .iter()
+            .filter(|(_, structure)| structure.has_alert_service())
+            .map(|(name, _)| name.clone())
+            .collect();
         for structure in self.structures.values_mut() {
             structure.instances.values_mut().for_each(|instance| instance.is_present = false);
         }
@@ -191,27 +200,16 @@ impl Heard {
                 None => {}
             }
         }
-        self.settle_alert_services(&had_alerts);
+        for name in had_alert_service {
+            if let Some(structure) = self.structures.get_mut(&name).filter(|structure| !structure.has_alert_service()) {
+                structure.stale_alerts = structure.alerts.keys().cloned().collect();
+            }
+        }
         for structure in self.structures.values_mut() {
             // a node or service that went and never said how it does leaves no trace
             structure.instances.retain(|_, instance| instance.is_present || instance.status.is_some());
         }
         self.structures.retain(|_, structure| !structure.is_silent());
-    }
-
-    /// Forgets the alerts of a service that went and came back; `before` says who had one.
-    fn settle_alert_services(&mut self, before: &BTreeMap<NaturalName, bool>) {
-        for (name, structure) in &mut self.structures {
-            let was_there = before.get(name).copied().unwrap_or(false);
-            match (was_there, structure.has_alert_service()) {
-                (true, false) => structure.alerts_are_old = true,
-                (false, true) if structure.alerts_are_old => {
-                    structure.alerts.clear(); // a new life decides anew, and says so
-                    structure.alerts_are_old = false;
-                }
-                _ => {}
-            }
-        }
     }
 
     /// Returns the structure, made known if there is room; counts what is left out.
@@ -245,6 +243,11 @@ impl Heard {
         let mut open: Vec<&AlertMessage> = all.filter(|alert| is_open(alert.state)).collect();
         open.sort_by_key(|alert| std::cmp::Reverse(alert.time_ns));
         open
+    }
+
+    /// Whether the service that told an alert has gone, and no other has said how it stands.
+    pub fn is_stale(&self, alert: &AlertMessage) -> bool {
+        self.structure(&alert.structure).is_some_and(|structure| structure.is_stale(&alert.parameter))
     }
 
     /// How long nothing was measured, once that is too long; `None` also before the first value.
@@ -283,6 +286,11 @@ impl StructureHeard {
 
     fn has_alert_service(&self) -> bool {
         self.instances.iter().any(|((service, _), instance)| *service == Service::Alert && instance.is_present)
+    }
+
+    /// Whether the service that told the alert of a parameter has gone, and no other has said how it stands.
+    pub fn is_stale(&self, parameter: &Name) -> bool {
+        self.stale_alerts.contains(&NaturalName(parameter.clone()))
     }
 
     /// The alert of a parameter.

@@ -2,7 +2,7 @@
 
 use super::heard::Heard;
 use super::view::View;
-use super::wording::{printable, state_counts, state_style, state_word, time};
+use super::wording::{printable, state_counts, state_style, time};
 use super::wrap::wrap;
 use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
@@ -48,7 +48,7 @@ pub fn alert_lines(view: &View, width: usize, height: usize) -> Vec<Line<'static
     };
     let structures = Structures::of(&view.heard);
     let mut entries: Vec<Vec<Line<'static>>> =
-        alerts.iter().map(|alert| alert_entry(alert, structures, width)).collect();
+        alerts.iter().map(|alert| alert_entry(&view.heard, alert, structures, width)).collect();
     mark(&mut entries[selected]);
     let mut first = 0;
     while first < selected && entries[first..=selected].iter().map(Vec::len).sum::<usize>() > height {
@@ -57,9 +57,10 @@ pub fn alert_lines(view: &View, width: usize, height: usize) -> Vec<Line<'static
     entries.into_iter().skip(first).flatten().collect()
 }
 
-fn alert_entry(alert: &AlertMessage, structures: Structures, width: usize) -> Vec<Line<'static>> {
-    let sentence = printable(&format!("{}{}", structures.prefix(&alert.structure), alert.why));
-    let state = Span::styled(format!("{:<14}", state_word(alert.state)), state_style(alert.state));
+fn alert_entry(heard: &Heard, alert: &AlertMessage, structures: Structures, width: usize) -> Vec<Line<'static>> {
+    let stale = if heard.is_stale(alert) { "stale, the alert service that said so is gone: " } else { "" };
+    let sentence = printable(&format!("{stale}{}{}", structures.prefix(&alert.structure), alert.why));
+    let state = Span::styled(format!("{:<14}", alert.state.as_str()), state_style(alert.state));
     let lines = wrap(&sentence, width.saturating_sub(BEFORE_SENTENCE));
     let with_head = lines.into_iter().enumerate().map(|(index, text)| match index {
         0 => Line::from_iter([Span::raw("  "), state.clone(), Span::raw(text)]),

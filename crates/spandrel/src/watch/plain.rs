@@ -1,14 +1,14 @@
 //! The view as plain lines, for pipes, scripts and logs: one line per change of an alert, one a second per structure.
 
 use super::heard::{Heard, StructureHeard};
-use super::wording::{duration, estimate, lag, printable, state_word, time};
+use super::wording::{duration, estimate, lag, printable, time};
 use spandrel_bus::{AlertMessage, Name, Service};
 use std::fmt::Write as _;
 
 /// One change of an alert: `TIME alert STRUCTURE/PARAMETER STATE: SENTENCE`.
 pub fn alert_line(alert: &AlertMessage) -> String {
     let AlertMessage { structure, parameter, time_ns, state, why, .. } = alert;
-    format!("{} alert {structure}/{parameter} {}: {}", time(*time_ns), state_word(*state), printable(why))
+    format!("{} alert {structure}/{parameter} {}: {}", time(*time_ns), state.as_str(), printable(why))
 }
 
 /// How one structure is: `TIME STRUCTURE PARAMETER MEAN ± STD STATE, …; SERVICE lag LAG, …`.
@@ -18,8 +18,9 @@ pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) ->
     };
     let parameters = structure.parameters.iter().map(|(parameter, value)| {
         let display = &value.display;
-        let state = structure.alerts.get(parameter).map_or("", |alert| state_word(alert.state));
-        format!("{} {} {state}", parameter.0, estimate(display.mean, display.std)).trim_end().to_owned()
+        let state = structure.alerts.get(parameter).map_or("", |alert| alert.state.as_str());
+        let stale = if structure.is_stale(&parameter.0) { " (stale)" } else { "" };
+        format!("{} {} {state}{stale}", parameter.0, estimate(display.mean, display.std)).trim_end().to_owned()
     });
     let parameters: Vec<String> = parameters.collect();
     let stale = heard.silence_of_data(structure).map(|silence| format!("stale {}: ", duration(silence)));
@@ -94,6 +95,7 @@ mod tests {
         assert_eq!(line(&heard), "2024-02-29 12:00:00 UTC tower stale 12 s: storey-1 1.000 ± 0.100; ingest/a");
         let mut tower = damaged_tower();
         tower.handle(present(&[]), &mut Vec::new());
+        assert!(line(&tower).contains("storey-2 0.858 ± 0.011 raised (stale), storey-3 "), "{}", line(&tower));
         assert!(
             line(&tower)
                 .ends_with("ingest/a lag 0.12 s gone, identify/a lag 0.21 s drops 3 gone, alert/a lag 0.25 s gone")

@@ -4,7 +4,7 @@ use super::estimate_bar::{Axis, Marks};
 use super::heard::{Heard, InstanceHeard, ParameterHeard, StructureHeard};
 use super::trail::Trail;
 use super::wording::{
-    duration, estimate, lag, printable, probability, share, significant, state_counts, state_style, state_word, time,
+    duration, estimate, lag, printable, probability, share, significant, state_counts, state_style, time,
 };
 use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
@@ -60,7 +60,12 @@ impl StructurePanel {
         let columns = Columns::new(structure, &losses, width);
         let is_stale = heard.silence_of_data(structure).is_some();
         let rows = structure.parameters.iter().map(|(name, parameter)| {
-            let row = row(axis, columns, &losses, parameter, structure.alerts.get(name));
+            let alert = match structure.alerts.get(name) {
+                Some(_) if structure.is_stale(&name.0) => AlertCell::Stale,
+                Some(alert) => AlertCell::Of(alert),
+                None => AlertCell::Unheard,
+            };
+            let row = row(axis, columns, &losses, parameter, alert);
             if is_stale { row.patch_style(Modifier::DIM) } else { row }
         });
         Self {
@@ -98,6 +103,15 @@ impl StructurePanel {
         lines.extend(footer);
         lines
     }
+}
+
+/// What is known of the alert of a parameter.
+#[derive(Debug, Clone, Copy)]
+enum AlertCell<'a> {
+    Unheard,
+    /// What was heard is that of a service that has gone.
+    Stale,
+    Of(&'a AlertMessage),
 }
 
 /// What the column of losses says: one loss for all in its header, or one in each row.
@@ -182,12 +196,15 @@ fn row(
     columns: Columns,
     losses: &Losses,
     parameter: &ParameterHeard,
-    alert: Option<&AlertMessage>,
+    alert: AlertCell<'_>,
 ) -> Line<'static> {
     let ParameterHeard { display, trail } = parameter;
-    let style = alert.map_or(Style::new(), |alert| state_style(alert.state));
-    let state = alert.map_or("–", |alert| state_word(alert.state));
-    let bar = axis.bar(columns.bar, &Marks::new(display, alert));
+    let (state, style, known) = match alert {
+        AlertCell::Unheard => ("–", Style::new(), None),
+        AlertCell::Stale => ("stale", Style::new().add_modifier(Modifier::DIM), None),
+        AlertCell::Of(alert) => (alert.state.as_str(), state_style(alert.state), Some(alert)),
+    };
+    let bar = axis.bar(columns.bar, &Marks::new(display, known));
     let interval = format!("{:.3} to {:.3}", display.interval.low, display.interval.high);
     let spans = [
         Some(Span::raw(format!("{:<width$}", shortened(display.parameter.as_str()), width = columns.name))),

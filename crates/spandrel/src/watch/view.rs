@@ -2,7 +2,6 @@
 
 use super::form::{Form, Typed};
 use super::heard::{Heard, StructureHeard};
-use super::wording::state_word;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use spandrel_bus::{AlertMessage, AlertState, Name};
 use std::time::Duration;
@@ -136,12 +135,16 @@ impl View {
             return;
         };
         let (structure, parameter) = (alert.structure.clone(), alert.parameter.clone());
+        if self.heard.is_stale(alert) {
+            self.notify(format!("the alert service of {structure}/{parameter} is gone, nobody would hear it"));
+            return;
+        }
         match alert.state {
             AlertState::Raised | AlertState::Cleared | AlertState::Pending => {
                 self.mode = Mode::Acknowledging { structure, parameter, form: Form::new(self.who.clone()) };
             }
             AlertState::Acknowledged | AlertState::Learning | AlertState::Normal => {
-                let state = state_word(alert.state);
+                let state = alert.state.as_str();
                 self.notify(format!("{structure}/{parameter} is {state}, there is nothing to acknowledge"));
             }
         }
@@ -223,7 +226,7 @@ impl Step {
 #[cfg(test)]
 mod tests {
     use super::super::heard::Input;
-    use super::super::testing::{alert, at, damaged_tower, heard, name, parameter};
+    use super::super::testing::{alert, at, damaged_tower, heard, name, parameter, present};
     use super::*;
 
     fn view(heard: Heard) -> View {
@@ -279,6 +282,15 @@ mod tests {
         press(&mut view, [KeyCode::Char('a')]);
         assert_eq!(*view.mode(), Mode::Watching);
         assert_eq!(view.notice(), Some("tower/storey-2 is acknowledged, there is nothing to acknowledge"));
+    }
+
+    #[test]
+    fn a_stale_alert_cannot_be_acknowledged() {
+        let mut view = view(damaged_tower());
+        view.heard.handle(present(&[]), &mut Vec::new());
+        press(&mut view, [KeyCode::Char('a')]);
+        assert_eq!(*view.mode(), Mode::Watching);
+        assert_eq!(view.notice(), Some("the alert service of tower/storey-2 is gone, nobody would hear it"));
     }
 
     #[test]

@@ -6,18 +6,6 @@ use ratatui::text::Span;
 use spandrel_bus::{AlertMessage, AlertState};
 use std::time::Duration;
 
-/// The state in one word.
-pub fn state_word(state: AlertState) -> &'static str {
-    match state {
-        AlertState::Learning => "learning",
-        AlertState::Normal => "normal",
-        AlertState::Pending => "pending",
-        AlertState::Raised => "raised",
-        AlertState::Acknowledged => "acknowledged",
-        AlertState::Cleared => "cleared",
-    }
-}
-
 /// The colour of a state; the word says the same.
 pub fn state_style(state: AlertState) -> Style {
     match state {
@@ -38,7 +26,7 @@ pub fn state_counts<'a>(alerts: impl Iterator<Item = &'a AlertMessage> + Clone) 
         let count = alerts.clone().filter(|alert| alert.state == state).count();
         if count > 0 {
             spans.push(Span::raw(format!(" · {count} ")));
-            spans.push(Span::styled(state_word(state), state_style(state)));
+            spans.push(Span::styled(state.as_str(), state_style(state)));
         }
     }
     spans

@@ -69,6 +69,59 @@ fn an_answer_does_not_undo_what_came_by_itself() {
     );
 }
 
+fn stale(heard: &Heard) -> Vec<&str> {
+    tower(heard).alerts.values().filter(|alert| heard.is_stale(alert)).map(|alert| alert.parameter.as_str()).collect()
+}
+
+#[test]
+fn alerts_are_stale_from_when_their_service_goes_until_it_speaks_again() {
+    let there = || present(&[(Service::Alert, "alert")]);
+    let raised = alert("storey-2", 45, AlertState::Raised);
+    let mut heard =
+        heard([there(), Input::Alert(alert("storey-1", 0, AlertState::Normal)), Input::Alert(raised.clone())]);
+    assert_eq!(stale(&heard), [""; 0]);
+    heard.handle(present(&[]), &mut Vec::new());
+    assert_eq!(stale(&heard), ["storey-1", "storey-2"]);
+    heard.handle(there(), &mut Vec::new());
+    assert_eq!(stale(&heard), ["storey-1", "storey-2"], "that somebody is there says nothing of them");
+    // the link was lost, the service is the same
+    assert_eq!(changes(&mut heard, Input::StandingAlert(raised)), []);
+    assert_eq!(stale(&heard), ["storey-1"]);
+}
+
+#[test]
+fn a_new_life_of_the_alert_service_counts_though_it_is_at_earlier_estimates() {
+    let there = || present(&[(Service::Alert, "alert")]);
+    for of_new_life in [Input::Alert, Input::StandingAlert] {
+        let mut heard =
+            heard([there(), Input::Alert(alert("storey-2", 45, AlertState::Raised)), present(&[]), there()]);
+        let normal = of_new_life(alert("storey-2", 1, AlertState::Normal));
+        assert_eq!(changes(&mut heard, normal), [AlertState::Normal]);
+        assert_eq!((stale(&heard).len(), heard.open_alerts().len()), (0, 0));
+    }
+}
+
+#[test]
+fn alerts_of_one_structure_are_not_stale_because_the_service_of_another_goes() {
+    let mut mast = alert("storey-1", 0, AlertState::Raised);
+    mast.structure = name("mast");
+    let heard = heard([
+        present(&[(Service::Alert, "alert")]),
+        Input::Alert(mast.clone()),
+        Input::Alert(alert("storey-2", 45, AlertState::Raised)),
+        present(&[]),
+    ]);
+    assert!(!heard.is_stale(&mast));
+    assert_eq!(stale(&heard), ["storey-2"]);
+}
+
+#[test]
+fn that_a_parameter_is_normal_from_the_start_is_known_and_no_change() {
+    let mut heard = Heard::default();
+    assert_eq!(changes(&mut heard, Input::Alert(alert("storey-1", 0, AlertState::Normal))), []);
+    assert_eq!(tower(&heard).alert(&name("storey-1")).map(|alert| alert.state), Some(AlertState::Normal));
+}
+
 #[test]
 fn open_alerts_are_those_that_people_should_know_of_newest_first() {
     let heard = heard([
@@ -125,24 +178,4 @@ fn misplaced_messages_and_unknown_services_are_counted() {
     unknown.service = name("nobody");
     let heard = heard([Input::Misplaced, Input::Status(unknown)]);
     assert_eq!(heard.left_out(), 2);
-}
-
-#[test]
-fn alerts_of_a_service_that_went_stand_until_another_life_of_it_decides() {
-    let there = || present(&[(Service::Alert, "alert")]);
-    let mut heard = heard([there(), Input::Alert(alert("storey-2", 45, AlertState::Raised)), present(&[])]);
-    assert_eq!(heard.open_alerts().len(), 1, "nobody has said that it is over");
-    heard.handle(there(), &mut Vec::new());
-    assert_eq!(heard.open_alerts().len(), 0, "the new life raises again what still stands");
-    let again = alert("storey-2", 60, AlertState::Raised);
-    assert_eq!(changes(&mut heard, Input::Alert(again)), [AlertState::Raised]);
-    heard.handle(there(), &mut Vec::new());
-    assert_eq!(heard.open_alerts().len(), 1);
-}
-
-#[test]
-fn alerts_that_were_asked_for_before_their_service_is_seen_are_kept() {
-    let standing = Input::StandingAlert(alert("storey-2", 45, AlertState::Raised));
-    let heard = heard([standing, present(&[(Service::Alert, "alert")])]);
-    assert_eq!(heard.open_alerts().len(), 1);
 }
