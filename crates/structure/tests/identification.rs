@@ -1,7 +1,7 @@
 //! The filter identifies what the simulator has done to the structure.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "helpers of tests are no tests to clippy")]
 
-use spandrel_filter::{ExtendedKalmanFilter, Frame};
+use spandrel_filter::{ExtendedKalmanFilter, FilterError, Frame};
 use spandrel_structure::{Structure, StructureModel};
 use std::path::Path;
 
@@ -136,4 +136,41 @@ fn the_tower_converges_from_wrong_stiffnesses() {
     }
     let tower = Structure::parse(&text, Path::new("tower.toml")).unwrap_or_else(|error| panic!("{error}"));
     assert_identified(&run_from(&tower, 0.2, 1.0, 1), &[1.0; 2], 0.01);
+}
+
+/// Steps a filter of the demo over a frame without samples, with the variance of its last parameter set to `variance` in a
+/// checkpoint; returns that variance after the step.
+fn step_with_variance(variance: f64) -> Result<f64, FilterError> {
+    let demo = example("demo.toml");
+    let mut filter = run(&demo, 1.0, 1);
+    let last = filter.mean().len() - 1;
+    let mut checkpoint = serde_json::to_value(filter.state()).unwrap();
+    // columns of the covariance one after the other; the parameter shall have no covariances
+    let entries = checkpoint["covariance"][0].as_array_mut().unwrap();
+    for index in 0..=last {
+        entries[last * (last + 1) + index] = 0.0.into();
+        entries[index * (last + 1) + last] = 0.0.into();
+    }
+    entries[last * (last + 1) + last] = variance.into();
+    filter.restore(serde_json::from_value(checkpoint).unwrap()).unwrap();
+    let missing = vec![f64::NAN; demo.observation_channels().len()];
+    let excitation = vec![f64::NAN; demo.excitation_channels().len()];
+    filter.step(Frame { observations: &missing, excitation: &excitation })?;
+    Ok(filter.covariance()[(last, last)])
+}
+
+#[test]
+fn negative_variance_ends_the_step_with_its_place() {
+    let last = run(&example("demo.toml"), 0.1, 1).mean().len() - 1;
+    let found = step_with_variance(-0.01);
+    assert!(
+        matches!(found, Err(FilterError::NegativeVariance { index, variance }) if index == last && variance < -0.0099),
+        "{found:?}"
+    );
+}
+
+/// Below 1e-12 of the largest variance, which is far above 1e-6 here, a negative one is rounding.
+#[test]
+fn variance_below_zero_by_rounding_is_zero() {
+    assert_eq!(step_with_variance(-1e-20), Ok(0.0));
 }
