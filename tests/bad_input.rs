@@ -317,7 +317,7 @@ fn two_structures_of_one_name_are_refused_by_file() {
 #[test]
 fn files_that_cannot_be_read_or_written_are_bad_input() {
     let site = Site::with(&two_storeys(""));
-    let record = site.simulate(2.0);
+    let record = site.simulate(25.0);
     let nowhere = site.folder().join("nowhere").join("file");
     let with = |subcommand: &str, arguments: &[&str]| {
         let mut command = spandrel(subcommand);

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use spandrel_alert::Alert;
-use spandrel_bus::{AlertMessage, AlertState, EstimateBlock, FrameBlock};
+use spandrel_bus::{AlertMessage, AlertState, EstimateBlock, FrameBlock, Phase};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
@@ -17,7 +17,8 @@ pub struct Summary {
     pub alerts: Vec<AlertSummary>,
     /// The last estimate of each noise level (variance, unit² of its source).
     pub noise: BTreeMap<String, Level>,
-    /// Mean of the normalised innovation squared per channel used, 1 when the model fits; none without innovations.
+    /// Mean of the normalised innovation squared per channel used, 1 when the model fits, once the noise levels are trained;
+    /// none without innovations.
     pub misfit: Option<f64>,
     /// What was wrong with the samples; none where the services have counted it in their status.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -119,8 +120,10 @@ impl Collector {
         self.t0_ns.get_or_insert(block.t0_ns);
         self.frames += block.estimates.len() as u64;
         for estimate in &block.estimates {
-            // particles have no innovations
-            if estimate.innovations.iter().any(|innovation| innovation.is_finite()) {
+            // while the noise is in training, the start-up aid distrusts the sensors; and particles have no innovations
+            if estimate.flags.phase == Phase::Working
+                && estimate.innovations.iter().any(|innovation| innovation.is_finite())
+            {
                 self.misfit.0 += estimate.normalised_innovation_squared;
                 self.misfit.1 += f64::from(estimate.used_channels);
             }
