@@ -8,7 +8,8 @@
 mod support;
 
 use spandrel_bus::{
-    Acknowledgement, Bus, EstimateBlock, FrameBlock, Header, Keys, Message, Name, SampleBlock, Service, StreamState,
+    Acknowledgement, Bus, EstimateBlock, FrameBlock, Header, Keys, Message, Name, Pace, SampleBlock, Service,
+    StreamState,
 };
 use std::ops::Range;
 use support::{
@@ -334,25 +335,35 @@ async fn a_block_lost_by_a_node_that_keeps_none_costs_no_other_samples() {
     let keys = site.keys();
     let drops = Drops::watch(&bus, &keys).await;
     let mut reader = EstimateReader::join(&bus, &keys).await;
-    let mut sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
-    // as a hand-written node puts its samples: nobody can ask for them again
-    let bare = sensors.remove("floor-1");
-    let key = keys.samples(&Name::new("floor-1").unwrap());
+    let name = |text: &str| Name::new(text).unwrap();
+    let channels = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+    let mut ground = Node::start(&bus, &keys, name("ground"), channels(&["ground"]), 1).await;
+    let mut roof = Node::start(&bus, &keys, name("roof"), channels(&["roof", "roof-velocity"]), 1).await;
+    // as a hand-written node puts its samples: nobody could ever be asked for them again
+    let key = keys.samples(&name("floor-1"));
     let rows = |block: usize| 10 * block..10 * block + 10;
-    let blocks: Vec<Vec<u8>> = (0..80)
-        .map(|block| {
-            let mut put = bare.block(&record, rows(block));
-            put.header.sequence = rows(block).start as u64;
-            put.encode().unwrap()
-        })
-        .collect();
-    drop(bare);
+    let bare = |block: usize| SampleBlock {
+        header: Header {
+            source: "floor-1".to_owned(),
+            epoch: 1,
+            sequence: rows(block).start as u64,
+            time_ns: record.time_ns(rows(block).start),
+        },
+        sampling_rate_hz: 100.0,
+        pace: Pace::Live,
+        channels: 1,
+        samples: rows(block).map(|row| record.value(row, "floor-1")).collect(),
+        state: StreamState::Running,
+    };
     let start = tokio::time::Instant::now();
-    for (block, payload) in blocks.into_iter().enumerate() {
+    for block in 0..80 {
         tokio::time::sleep_until(start + std::time::Duration::from_millis(100 * block as u64)).await;
-        sensors.put(rows(block)).await;
+        for node in [&mut ground, &mut roof] {
+            let put = node.block(&record, rows(block));
+            node.put(put).await;
+        }
         if block != LOST {
-            put_raw(&bus, &key, SAMPLES, payload).await;
+            put_raw(&bus, &key, SAMPLES, bare(block).encode().unwrap()).await;
         }
     }
     // the last frames wait for what may still come

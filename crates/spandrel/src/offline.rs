@@ -58,7 +58,9 @@ pub fn identify(
     }
     chain.samples.discarded = chain.alignment.counts().drops();
     chain.samples.discarded.remove(MISSING); // counted by channel
-    chain.collector.take_samples(chain.samples);
+    if chain.samples != Samples::default() {
+        chain.collector.take_samples(chain.samples);
+    }
     if let Estimator::Particles(particles) = chain.identification.estimator() {
         chain.collector.take_effective_share(particles.effective_share());
     }

@@ -20,7 +20,8 @@ pub struct Summary {
     /// Mean of the normalised innovation squared per channel used, 1 when the model fits, once the noise levels are trained;
     /// none without innovations.
     pub misfit: Option<f64>,
-    /// What was wrong with the samples; none where the services have counted it in their status.
+    /// What was wrong with the samples of a record; none where nothing was, and where the services have counted it in their
+    /// status.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub samples: Option<Samples>,
     /// Of particles, the mean share that counted before they were drawn anew.

@@ -41,7 +41,7 @@ fn missing_and_discarded_samples_and_the_misfit_are_told() {
     let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
     simulate(&structure, &record, "40");
     let sound = summary(&structure, &record, &[]);
-    assert_eq!(sound["samples"]["missing"], serde_json::json!({}));
+    assert!(sound["samples"].is_null(), "nothing is wrong with them: {sound}");
     let misfit = sound["misfit"].as_f64().unwrap();
     assert!((0.9..1.1).contains(&misfit), "{misfit}");
 
