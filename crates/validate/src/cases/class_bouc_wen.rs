@@ -63,7 +63,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     figures.push(Figure::new(
         "share in which the baseline leads, from the last calibration of the first damage on",
         seen.share(last_of_first, second_s, baseline),
-        Required::AtLeast(0.95),
+        // in the short record a second or two of another class is too much
+        run.pick(Required::AtLeast(0.95), Required::Reported),
     ));
     let after_second = seen.calibrations(second_s, seconds);
     let classes: std::collections::BTreeSet<usize> = after_second
