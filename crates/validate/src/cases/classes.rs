@@ -68,11 +68,18 @@ pub(super) fn compare(
             for (j, course) in seen.courses.iter_mut().enumerate() {
                 course.take(time_s, bank.parameter_mean()[j], bank.parameter_covariance()[(j, j)], truth[j]);
             }
+            // a class that does not compete at this level has none
+            for (_, points) in &mut seen.plausibilities {
+                points.push((time_s as f32, 0.0));
+            }
             for (class, plausibility) in bank.classes().zip(bank.plausibilities().iter()) {
                 let name = scene.structure.class_name(class);
                 let point = (time_s as f32, plausibility as f32);
                 match seen.plausibilities.iter_mut().find(|(known, _)| known == name) {
-                    Some((_, points)) => points.push(point),
+                    Some((_, points)) => {
+                        points.pop();
+                        points.push(point);
+                    }
                     None => seen.plausibilities.push((name.to_owned(), vec![point])),
                 }
             }
@@ -118,17 +125,14 @@ impl Comparison {
         self.events.iter().filter_map(calibration).filter(|(time_s, _)| (from_s..to_s).contains(time_s)).collect()
     }
 
-    /// Plausibilities over time.
+    /// Plausibilities over time, of the classes that ever led.
     pub(super) fn plausibility_plot(&self, title: &str) -> Plot {
         let curve = |points: &Vec<(f32, f32)>| {
             let every = (points.len() / 1200).max(1);
             points.iter().step_by(every).copied().collect()
         };
-        let series = self
-            .plausibilities
-            .iter()
-            .map(|(name, points)| Series::new(name.clone(), SeriesKind::Points, curve(points)))
-            .collect();
+        let led = self.plausibilities.iter().filter(|(_, points)| points.iter().any(|point| point.1 > 0.5));
+        let series = led.map(|(name, points)| Series::new(name.clone(), SeriesKind::Estimate, curve(points))).collect();
         Plot::over_time(title, "plausibility", series).within(0.0, 1.0)
     }
 
