@@ -169,7 +169,7 @@ impl SensorService {
             let mut watch = self.bus.watch_live(self.keys.all_live(*service)).await?;
             if watch.present().is_empty() && timeout(TOLD_AFTER, watch.some()).await.is_err() {
                 let (structure, service) = (self.keys.structure().as_str(), service.as_str());
-                warn!(structure, "waiting for a {service} service on this bus before anything is sent");
+                warn!(structure, "waiting for the {service} service on this bus before anything is sent");
                 watch.some().await;
             }
         }

@@ -2,7 +2,7 @@
 
 pub(crate) mod bouc_wen;
 pub(crate) mod chain;
-#[allow(dead_code, unreachable_pub, reason = "the tests of the filter use the rest")]
+#[allow(unreachable_pub, reason = "the tests of the filter use it, too")]
 pub(crate) mod drifting;
 pub(crate) mod hysteretic;
 pub(crate) mod linear;

@@ -23,18 +23,7 @@ const PARALLEL_FROM: usize = 24;
 /// The whole state of a bank between two steps: what a checkpoint holds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ClassBankState {
-    level: Level,
-    /// what calibrations have multiplied each component by (N_k)
-    factors: Vec<f64>,
-    plausibilities: Plausibilities,
-    persistence: Persistence,
-    /// class whose filter identifies the noise levels and screens outliers
-    lead: usize,
-    /// class that was last told to lead
-    believed: ClassId,
-    /// observed steps, for the training stage
-    steps: usize,
-    calibrations: u64,
+    bank: BankState,
     filters: Vec<FilterState>,
 }
 
@@ -54,15 +43,19 @@ pub struct ClassBank<S: ComponentSystem> {
     work: Workspace,
 }
 
-/// [`ClassBankState`] without the filters, which the members hold while the bank runs.
-#[derive(Debug)]
+/// What a bank knows besides its filters.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct BankState {
     level: Level,
+    /// what calibrations have multiplied each component by (N_k)
     factors: Vec<f64>,
     plausibilities: Plausibilities,
     persistence: Persistence,
+    /// class whose filter identifies the noise levels and screens outliers
     lead: usize,
+    /// class that was last told to lead
     believed: ClassId,
+    /// observed steps, for the training stage
     steps: usize,
     calibrations: u64,
 }
@@ -316,17 +309,8 @@ impl<S: ComponentSystem> ClassBank<S> {
     /// Returns the state for a checkpoint.
     #[must_use]
     pub fn state(&self) -> ClassBankState {
-        ClassBankState {
-            level: self.state.level,
-            factors: self.state.factors.clone(),
-            plausibilities: self.state.plausibilities.clone(),
-            persistence: self.state.persistence.clone(),
-            lead: self.state.lead,
-            believed: self.state.believed,
-            steps: self.state.steps,
-            calibrations: self.state.calibrations,
-            filters: self.members.iter().map(|member| member.filter.state().clone()).collect(),
-        }
+        let filters = self.members.iter().map(|member| member.filter.state().clone()).collect();
+        ClassBankState { bank: self.state.clone(), filters }
     }
 
     /// Takes the state of a checkpoint; the next step gives the same bits as if the bank had never stopped.
@@ -334,6 +318,7 @@ impl<S: ComponentSystem> ClassBank<S> {
     /// # Errors
     /// When the state does not fit the plan or the models; the bank then stays as it was.
     pub fn restore(&mut self, state: ClassBankState) -> Result<(), FilterError> {
+        let ClassBankState { bank: state, filters } = state;
         let components = self.system.components().len();
         let found = state.factors.len();
         if found != components {
@@ -348,7 +333,7 @@ impl<S: ComponentSystem> ClassBank<S> {
         }
         let groupings = self.settings.plan.classes(state.level, components)?;
         let expected = groupings.len();
-        for found in [state.filters.len(), state.plausibilities.logarithms().len()] {
+        for found in [filters.len(), state.plausibilities.logarithms().len(), state.persistence.classes()] {
             if found != expected {
                 return Err(FilterError::Dimension { what: "classes of a checkpoint", found, expected });
             }
@@ -357,22 +342,13 @@ impl<S: ComponentSystem> ClassBank<S> {
             return Err(FilterError::Dimension { what: "leading class of a checkpoint", found: state.lead, expected });
         }
         let mut members = Vec::with_capacity(expected);
-        for ((class, grouping), filter) in groupings.into_iter().enumerate().zip(state.filters) {
+        for ((class, grouping), filter) in groupings.into_iter().enumerate().zip(filters) {
             let mut member = self.member(state.level, class, grouping, &state.factors)?;
             member.filter.restore(filter)?;
             members.push(member);
         }
         self.members = members;
-        self.state = BankState {
-            level: state.level,
-            factors: state.factors,
-            plausibilities: state.plausibilities,
-            persistence: state.persistence,
-            lead: state.lead,
-            believed: state.believed,
-            steps: state.steps,
-            calibrations: state.calibrations,
-        };
+        self.state = state;
         self.events.clear();
         self.appoint(self.state.lead);
         self.combine();
@@ -440,19 +416,26 @@ impl<S: ComponentSystem> ClassBank<S> {
         }
     }
 
+    /// Returns what the filter of a class knows of noise levels and outliers; of levels that were lost with it, their start.
+    fn findings_of(&self, class: usize) -> (NoiseState, Option<OutlierState>) {
+        let known = self.members[class].filter.state();
+        let is_lost = known.noise().mean.iter().chain(&known.noise().covariance).any(|value| !value.is_finite());
+        let noise = match is_lost {
+            true => NoiseState::start(&self.template.noise, &self.template.noise_settings),
+            false => known.noise().clone(),
+        };
+        (noise, known.outliers().cloned())
+    }
+
     /// Lets the filter of a class identify the noise levels and screen outliers from now on.
     fn appoint(&mut self, class: usize) {
         let former = self.state.lead;
         if former != class {
-            let known = self.members[former].filter.state();
-            let (noise, outliers) = (known.noise().clone(), known.outliers().cloned());
+            let (noise, outliers) = self.findings_of(former);
             self.members[class].filter.lead(noise, outliers);
             self.state.lead = class;
         }
-        let psi = self.members[class].filter.noise().mean.as_slice();
-        if psi.iter().all(|level| level.is_finite()) {
-            self.work.psi.copy_from_slice(psi);
-        }
+        self.work.psi.copy_from_slice(self.members[class].filter.noise().mean.as_slice());
         if !self.has_common_findings() {
             return;
         }
@@ -548,8 +531,7 @@ impl<S: ComponentSystem> ClassBank<S> {
             self.continue_member(&mut member, source, &multipliers);
             members.push(member);
         }
-        let known = self.members[self.state.lead].filter.state();
-        let (noise, outliers) = (known.noise().clone(), known.outliers().cloned());
+        let (noise, outliers) = self.findings_of(self.state.lead);
         members[0].filter.lead(noise, outliers);
         self.state.level = level;
         self.state.lead = 0;

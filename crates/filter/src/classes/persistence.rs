@@ -34,6 +34,12 @@ impl Persistence {
         Self { leader: None, run: 0, recent: VecDeque::new(), counts: vec![[0; 2]; classes] }
     }
 
+    /// Returns for how many classes it counts; none where its counts do not fit its memory.
+    pub(super) fn classes(&self) -> usize {
+        let known = |class: &u16| usize::from(*class) < self.counts.len();
+        if self.recent.iter().all(known) { self.counts.len() } else { 0 }
+    }
+
     /// Takes the leader of a step, `None` for a tie; returns the class whose lead has lasted.
     pub(super) fn update(&mut self, leader: Option<usize>, steps: usize, rule: PersistenceRule) -> Option<usize> {
         let Some(class) = leader else {

@@ -8,16 +8,20 @@ pub mod bridge;
 pub mod drifting_building;
 #[path = "../../../validate/src/systems/drifting/oscillator.rs"]
 pub mod hysteretic;
+#[path = "../../../validate/src/systems/drifting/integrate.rs"]
+pub mod integrate;
 #[path = "../../../validate/src/systems/drifting/numerical_ekf.rs"]
 pub mod numerical_ekf;
 #[path = "../../../validate/src/systems/tall_building.rs"]
 pub mod tall_building;
 
+pub use integrate::integrate;
+
 use nalgebra::{DMatrix, DVector};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
-use spandrel_filter::{ContinuousSystem, ObservationModel, ProcessModel};
+use spandrel_filter::{ObservationModel, ProcessModel};
 
 /// Independent standard normal numbers.
 pub struct Normal(ChaCha8Rng);
@@ -36,26 +40,6 @@ impl Normal {
 pub fn rms(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.fold((0.0, 0.0), |(sum, count), value| (sum + value * value, count + 1.0));
     (sum / count).sqrt()
-}
-
-/// Integrates the mechanical states of a system over one step with held input, by classical Runge-Kutta substeps.
-pub fn integrate(system: &impl ContinuousSystem, state: &mut [f64], input: &[f64], step_s: f64, substeps: usize) {
-    let mechanical = system.mechanical_len();
-    let h = step_s / substeps as f64;
-    let slope_at = |start: &[f64], slope: &DVector<f64>, reach: f64| {
-        let mut stage = start.to_vec();
-        (0..mechanical).for_each(|i| stage[i] += reach * slope[i]);
-        let mut out = DVector::zeros(mechanical);
-        system.derivative(&stage, input, out.as_mut_slice());
-        out
-    };
-    for _ in 0..substeps {
-        let k1 = slope_at(state, &DVector::zeros(mechanical), 0.0);
-        let k2 = slope_at(state, &k1, 0.5 * h);
-        let k3 = slope_at(state, &k2, 0.5 * h);
-        let k4 = slope_at(state, &k3, h);
-        (0..mechanical).for_each(|i| state[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]));
-    }
 }
 
 /// ẍ + 2ζω ẋ + ω² x = f with y = [x, ẋ, ω, ζ], displacement and velocity observed (ch2 §4.3).

@@ -307,8 +307,8 @@ fn bank_whose_filters_are_all_lost_says_so_and_restarts() {
     assert!((bank.parameter_mean()[0] - 1.0).abs() < 0.1);
 }
 
-#[test]
-fn all_classes_take_noise_levels_and_rejections_from_the_leader() {
+/// The level of the sensors unknown, and outliers screened.
+fn adaptive_template() -> FilterSettings {
     let mut template = template();
     template.noise.sensors.fill(0.0);
     template.noise.parameters.push(NoiseParameter {
@@ -320,7 +320,12 @@ fn all_classes_take_noise_levels_and_rejections_from_the_leader() {
     });
     template.noise_settings = NoiseSettings { training_steps: 100, ..NoiseSettings::default() };
     template.outliers = Some(OutlierSettings::for_period(100.0));
-    let mut bank = ClassBank::new(System, template, self_calibrating()).unwrap();
+    template
+}
+
+#[test]
+fn all_classes_take_noise_levels_and_rejections_from_the_leader() {
+    let mut bank = ClassBank::new(System, adaptive_template(), self_calibrating()).unwrap();
     let mut frames = frames(3000, None, 0, 8);
     frames[2900].0[0] += 1.0;
     run(&mut bank, &frames[..2900]);
@@ -378,6 +383,27 @@ fn checkpoint_of_another_plan_is_refused() {
     let plan = ClassPlan::Predefined { classes: alone(4) };
     let other = ClassBank::new(System, template(), ClassSettings::published(plan, 10)).unwrap();
     assert!(bank.restore(other.state()).is_err());
+}
+
+#[test]
+fn checkpoint_whose_counts_do_not_fit_is_refused_and_changes_nothing() {
+    let mut bank = ClassBank::new(System, template(), self_calibrating()).unwrap();
+    run(&mut bank, &frames(150, None, 0, 9));
+    let before = bank.state();
+    let mut damaged = before.clone();
+    damaged.bank.persistence = Persistence::new(3);
+    assert!(bank.restore(damaged).is_err());
+    assert_eq!(bank.state(), before);
+}
+
+#[test]
+fn noise_levels_lost_with_their_filter_start_anew() {
+    let mut bank = ClassBank::new(System, adaptive_template(), self_calibrating()).unwrap();
+    let mut noise = bank.noise().clone();
+    noise.mean[0] = f64::NAN;
+    bank.members[0].filter.lead(noise, None);
+    bank.appoint(1);
+    assert_eq!(bank.noise().mean[0], 4.0 * NOISE_STD * NOISE_STD);
 }
 
 proptest! {
