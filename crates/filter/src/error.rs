@@ -32,6 +32,14 @@ pub enum FilterError {
         /// The row at which the factorisation failed.
         pivot: usize,
     },
+    /// A covariance is not positive definite.
+    #[error("{what} is not positive definite at row {pivot}")]
+    NotPositiveDefinite {
+        /// The covariance.
+        what: &'static str,
+        /// The row at which the factorisation failed.
+        pivot: usize,
+    },
     /// A state or a variance is no longer finite; the filter must be restarted.
     #[error("{what} {index} is not finite")]
     NotFinite {

@@ -3,6 +3,8 @@
 //! Source: Huang & Yuen (2023), §2.4 (fading memory) and §3.2 (noise parameters); the order of one step is that of
 //! equations (3.14) to (3.18) with the noise parameters updated before the state.
 
+mod marginal;
+
 use crate::constant::ConstantPath;
 use crate::dense::{add_quadratic_form_mut, symmetrise_mut};
 use crate::discretise::{self, InputHold, Series};

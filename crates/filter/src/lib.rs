@@ -19,6 +19,7 @@
 //! - [`steady`]: stationary gain and error covariance of a linear filter, right or wrong
 //! - [`kalman`]: the plain Kalman filter of a known linear system
 //! - [`classes`]: several models of one system compared while they run
+//! - [`fusion`]: filters of sensor nodes, and the station that fuses what they find
 //! - [`particle`]: the particle filter, for distributions that are not Gaussian
 //! - [`band_limit`]: the low-pass that is the same on every channel
 //!
@@ -34,6 +35,7 @@ pub mod constant;
 pub mod discretise;
 pub mod extended;
 pub mod fading;
+pub mod fusion;
 pub mod kalman;
 pub mod linear;
 pub mod noise;

@@ -69,6 +69,7 @@ mod information;
 mod linear_form;
 mod model;
 mod modes;
+mod of_node;
 mod simulator;
 mod sparse_cholesky;
 mod steady_filter;

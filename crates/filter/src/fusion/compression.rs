@@ -1,0 +1,376 @@
+//! What a node sends in place of its whole state and covariance.
+//!
+//! Notation: Huang & Yuen (2023), §6.3.1. `Φ` (N_d × N_m): modes of the nominal model with `Φᵀ M Φ = I`; `u = Φᵀ M x` and
+//! `v = Φᵀ M ẋ`, (6.11) to (6.15). `Φ` and `Φᵀ M` are known everywhere and never sent.
+
+use crate::error::FilterError;
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+/// Kept modes that miss more than this share of the effective mass are worth a warning.
+pub const MISSED_MASS: f64 = 0.05;
+
+/// The kept modes of the nominal model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModalBasis {
+    /// `Φ` (N_d × N_m)
+    shapes: DMatrix<f64>,
+    /// `Φᵀ M` (N_m × N_d)
+    projection: DMatrix<f64>,
+}
+
+/// How the covariance of a node is reduced, table of §6.3.1.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Weights {
+    /// All of it, of the unprojected state.
+    Whole,
+    /// The blocks of `u`, `v` and `θ`, each as a matrix.
+    Matrix,
+    /// The variances of `u`, `v` and `θ`.
+    Vector,
+    /// One number for each block.
+    Scalar,
+    /// Variances of `u` and `v`, and the matrix of `θ`: the proposal of the source.
+    #[default]
+    Mixed,
+}
+
+impl Weights {
+    /// Returns how many numbers the reduced covariance has, for `dofs` degrees of freedom, `modes` kept modes and
+    /// `parameters` parameters.
+    #[must_use]
+    pub fn numbers(self, dofs: usize, modes: usize, parameters: usize) -> usize {
+        let triangle = |n: usize| n * (n + 1) / 2;
+        match self {
+            Self::Whole => triangle(2 * dofs + parameters),
+            Self::Matrix => 2 * triangle(modes) + triangle(parameters),
+            Self::Vector => 2 * modes + parameters,
+            Self::Scalar => 3,
+            Self::Mixed => 2 * modes + triangle(parameters),
+        }
+    }
+
+    /// Returns how many numbers a message has: the reduced covariance and the estimate itself.
+    #[must_use]
+    pub fn message_numbers(self, dofs: usize, modes: usize, parameters: usize) -> usize {
+        let estimate = match self {
+            Self::Whole => 2 * dofs + parameters,
+            Self::Matrix | Self::Vector | Self::Scalar | Self::Mixed => 2 * modes + parameters,
+        };
+        estimate + self.numbers(dofs, modes, parameters)
+    }
+
+    /// Reduces the covariance of one block (c × c) to what is left of it after it was sent.
+    ///
+    /// A scalar is the mean variance: its trace over its dimension, so that the fused covariance has the right size.
+    #[must_use]
+    pub fn reduce(self, block: &DMatrix<f64>, is_parameters: bool) -> DMatrix<f64> {
+        match self {
+            Self::Whole | Self::Matrix => block.clone(),
+            Self::Mixed if is_parameters => block.clone(),
+            Self::Vector | Self::Mixed => DMatrix::from_diagonal(&block.diagonal()),
+            Self::Scalar => {
+                let n = block.nrows();
+                DMatrix::identity(n, n) * (block.trace() / n.max(1) as f64)
+            }
+        }
+    }
+}
+
+/// The motion of a structure in few numbers, each with its variance.
+///
+/// In modes: `u`, then `v` (2 N_m; kg^½ m, kg^½ m/s). As responses: one for each row of [`Responses`], in its unit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CompressedMotion {
+    /// Means.
+    pub mean: DVector<f64>,
+    /// Variances, all positive.
+    pub variance: DVector<f64>,
+}
+
+impl CompressedMotion {
+    /// Tells whether it holds `len` numbers that make sense.
+    pub(super) fn is_sound(&self, len: usize) -> bool {
+        let finite = self.mean.iter().chain(self.variance.iter()).all(|entry| entry.is_finite());
+        let sized = self.mean.len() == len && self.variance.len() == len;
+        finite && sized && self.variance.iter().all(|variance| *variance > 0.0)
+    }
+}
+
+/// What a node knows best of the motion: the displacements, velocities or strains that it measures, and their rates.
+///
+/// Every other node can take them for measurements, because they are linear in the motion: `R [x, ẋ]`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Responses {
+    /// `R` (r × 2 N_d)
+    rows: DMatrix<f64>,
+}
+
+impl Responses {
+    /// Makes the responses `R [x, ẋ]` of a node from `R` (r × 2 N_d).
+    #[must_use]
+    pub fn new(rows: DMatrix<f64>) -> Self {
+        Self { rows }
+    }
+
+    /// Returns `R` (r × 2 N_d).
+    #[must_use]
+    pub fn rows(&self) -> &DMatrix<f64> {
+        &self.rows
+    }
+
+    /// Returns the responses with their variances, from mean (n) and covariance (n × n) of a state `[x, ẋ, …]`.
+    #[must_use]
+    pub fn compress(&self, mean: &DVector<f64>, covariance: &DMatrix<f64>) -> CompressedMotion {
+        let moving = self.rows.ncols();
+        let spread = &self.rows * covariance.view((0, 0), (moving, moving)) * self.rows.transpose();
+        CompressedMotion {
+            mean: &self.rows * mean.rows(0, moving),
+            variance: spread.diagonal().map(|variance| variance.max(f64::MIN_POSITIVE.sqrt())),
+        }
+    }
+}
+
+/// What nodes tell one another of the motion through the station; only nodes whose clocks agree can.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub enum MotionExchange {
+    /// Nothing.
+    #[default]
+    None,
+    /// All in the same modes, as published.
+    Modes(ModalBasis),
+    /// Each its own responses; of all nodes, in their order.
+    Responses(Vec<Responses>),
+}
+
+impl ModalBasis {
+    /// Makes a basis from mode shapes and the mass matrix.
+    ///
+    /// # Errors
+    /// When the sizes do not fit, or `Φᵀ M Φ` is not the identity to 1e-8.
+    pub fn new(shapes: DMatrix<f64>, mass: &DMatrix<f64>) -> Result<Self, FilterError> {
+        let found = mass.nrows();
+        if found != shapes.nrows() || mass.ncols() != found {
+            return Err(FilterError::Dimension { what: "mass matrix", found, expected: shapes.nrows() });
+        }
+        let projection = shapes.transpose() * mass;
+        let modes = shapes.ncols();
+        let off = (&projection * &shapes - DMatrix::identity(modes, modes)).amax();
+        if off.is_nan() || off > 1e-8 {
+            let what = "deviation of the modal masses from 1";
+            return Err(FilterError::Setting { what, found: off, allowed: "at most 1e-8" });
+        }
+        Ok(Self { shapes, projection })
+    }
+
+    /// Returns `N_m`.
+    #[must_use]
+    pub fn modes(&self) -> usize {
+        self.shapes.ncols()
+    }
+
+    /// Returns `N_d`.
+    #[must_use]
+    pub fn dofs(&self) -> usize {
+        self.shapes.nrows()
+    }
+
+    /// Returns for each kept mode its share of the mass that a uniform motion along `influence` (N_d) sets going,
+    /// `(φᵀ M ι)² / ιᵀ M ι`.
+    #[must_use]
+    pub fn effective_mass_shares(&self, influence: &DVector<f64>, mass: &DMatrix<f64>) -> Vec<f64> {
+        let total = influence.dot(&(mass * influence));
+        let participation = &self.projection * influence;
+        participation.iter().map(|factor| factor * factor / total).collect()
+    }
+
+    /// Compresses mean (n) and covariance (n × n) of a state `[x, ẋ, …]`, (6.11) to (6.15) and (6.18) to (6.20).
+    ///
+    /// Variances are kept above the smallest positive number that has an inverse.
+    #[must_use]
+    pub fn compress(&self, mean: &DVector<f64>, covariance: &DMatrix<f64>) -> CompressedMotion {
+        let (dofs, modes) = (self.dofs(), self.modes());
+        let mut motion = CompressedMotion { mean: DVector::zeros(2 * modes), variance: DVector::zeros(2 * modes) };
+        for block in 0..2 {
+            let of_block = &self.projection * mean.rows(block * dofs, dofs);
+            motion.mean.rows_mut(block * modes, modes).copy_from(&of_block);
+            let spread = covariance.view((block * dofs, block * dofs), (dofs, dofs));
+            for mode in 0..modes {
+                let row = self.projection.row(mode);
+                let variance = (row * spread * row.transpose())[(0, 0)];
+                motion.variance[block * modes + mode] = variance.max(f64::MIN_POSITIVE.sqrt());
+            }
+        }
+        motion
+    }
+
+    /// Returns displacements and velocities (2 N_d) of a compressed motion, (6.17).
+    #[must_use]
+    pub fn extract(&self, motion: &DVector<f64>) -> DVector<f64> {
+        let (dofs, modes) = (self.dofs(), self.modes());
+        let mut state = DVector::zeros(2 * dofs);
+        for block in 0..2 {
+            let of_block = &self.shapes * motion.rows(block * modes, modes);
+            state.rows_mut(block * dofs, dofs).copy_from(&of_block);
+        }
+        state
+    }
+
+    /// Returns the covariance (2 N_d × 2 N_d) that the source gives to an extracted motion, (6.21): of rank 2 N_m.
+    #[must_use]
+    pub fn extract_covariance(&self, variance: &DVector<f64>) -> DMatrix<f64> {
+        let (dofs, modes) = (self.dofs(), self.modes());
+        let mut covariance = DMatrix::zeros(2 * dofs, 2 * dofs);
+        for block in 0..2 {
+            let weights = DMatrix::from_diagonal(&variance.rows(block * modes, modes).into_owned());
+            let of_block = &self.shapes * weights * self.shapes.transpose();
+            covariance.view_mut((block * dofs, block * dofs), (dofs, dofs)).copy_from(&of_block);
+        }
+        covariance
+    }
+}
+
+/// How the covariance of the parameters is reduced for nodes that send nothing else, §7.3.1.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CovarianceScheme {
+    /// All of it.
+    #[default]
+    Full,
+    /// The variances.
+    Identity,
+    /// What it shows along given orthonormal columns `𝒲` (N_θ × N_θ), (7.21) to (7.27).
+    Basis(DMatrix<f64>),
+}
+
+impl CovarianceScheme {
+    /// Makes the basis of the eigenvectors of summed information matrices.
+    #[must_use]
+    pub fn of_information(sum: &DMatrix<f64>) -> Self {
+        Self::Basis(sum.clone().symmetric_eigen().eigenvectors)
+    }
+
+    /// Returns what is left of a covariance (N_θ × N_θ) after it was sent, `Σ* = Σ_m φ_m w_m w_mᵀ`, `φ_m = w_mᵀ Σ w_m`.
+    #[must_use]
+    pub fn reduce(&self, covariance: &DMatrix<f64>) -> DMatrix<f64> {
+        match self {
+            Self::Full => covariance.clone(),
+            Self::Identity => DMatrix::from_diagonal(&covariance.diagonal()),
+            Self::Basis(basis) => {
+                let along = (basis.transpose() * covariance * basis).diagonal();
+                basis * DMatrix::from_diagonal(&along) * basis.transpose()
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fusion::{Gaussian, product};
+
+    #[test]
+    fn messages_have_the_published_lengths() {
+        // ch6 §4.1 to §4.3
+        assert_eq!(Weights::Mixed.message_numbers(40, 5, 10), 85);
+        assert_eq!(Weights::Mixed.message_numbers(49, 6, 8), 68);
+        assert_eq!(Weights::Whole.message_numbers(100, 0, 10), 22_365);
+        assert_eq!(Weights::Whole.numbers(100, 5, 5), 21_115);
+        assert_eq!(Weights::Matrix.numbers(100, 5, 5), 45);
+        assert_eq!(Weights::Mixed.numbers(100, 5, 5), 25);
+        // numbers of the whole record, distributed and raw
+        assert_eq!(85 * 16 * 300, 408_000);
+        assert_eq!(68 * 15 * 300, 306_000);
+        assert!((408_000.0_f64 / (2.0 * 16.0 * 250.0 * 300.0) - 0.170).abs() < 1e-12);
+        assert!((306_000.0_f64 / (2.0 * 15.0 * 500.0 * 300.0) - 0.068).abs() < 1e-12);
+    }
+
+    #[test]
+    fn motion_in_the_span_survives_compression() {
+        // two modes of a chain of three unit masses
+        let stiffness = DMatrix::<f64>::from_row_slice(3, 3, &[2.0, -1.0, 0.0, -1.0, 2.0, -1.0, 0.0, -1.0, 1.0]);
+        let eigen = stiffness.symmetric_eigen();
+        let frequency = |mode: usize| -> f64 { eigen.eigenvalues[mode] };
+        let mut order: [usize; 3] = [0, 1, 2];
+        order.sort_by(|a, b| frequency(*a).total_cmp(&frequency(*b)));
+        let mass = DMatrix::identity(3, 3);
+        let basis = ModalBasis::new(eigen.eigenvectors.select_columns(&order[..2]), &mass).unwrap();
+        let state = basis.extract(&DVector::from_row_slice(&[0.3, -0.1, 2.0, 0.7]));
+        let compressed = basis.compress(&state, &DMatrix::identity(6, 6));
+        for (found, expected) in compressed.mean.iter().zip([0.3, -0.1, 2.0, 0.7]) {
+            assert!((found - expected).abs() < 1e-12);
+        }
+        assert!(compressed.variance.iter().all(|variance| (variance - 1.0).abs() < 1e-12));
+        let shares = basis.effective_mass_shares(&DVector::repeat(3, 1.0), &mass);
+        assert!(shares[0] > 0.9 && shares.iter().sum::<f64>() < 1.0);
+        assert!(ModalBasis::new(DMatrix::identity(3, 2) * 2.0, &mass).is_err());
+    }
+
+    #[test]
+    fn closed_form_fusion_agrees_with_the_matrix_form() {
+        // ch7 §5.2: four nodes, six parameters, a random orthogonal basis
+        let random = |k: usize| DMatrix::from_fn(6, 6, |i, j| ((7 * i + 3 * j + 11 * k + 1) as f64).sin());
+        let basis = random(9).qr().q();
+        let scheme = CovarianceScheme::Basis(basis.clone());
+        let nodes: Vec<Gaussian> = (0..4)
+            .map(|k| {
+                let a = random(k);
+                let covariance = scheme.reduce(&(&a * a.transpose() + DMatrix::identity(6, 6) * 0.1));
+                Gaussian { mean: DVector::from_fn(6, |i, _| ((i + 5 * k) as f64).cos()), covariance }
+            })
+            .collect();
+        let (matrix_form, _) = product(&nodes).unwrap();
+        let along = |g: &Gaussian, m: usize| (basis.column(m).transpose() * &g.covariance * basis.column(m))[(0, 0)];
+        let mut mean = DVector::zeros(6);
+        let mut covariance = DMatrix::zeros(6, 6);
+        for m in 0..6 {
+            let w = basis.column(m);
+            let fused = 1.0 / nodes.iter().map(|g| 1.0 / along(g, m)).sum::<f64>();
+            let weighted: f64 = nodes.iter().map(|g| w.dot(&g.mean) / along(g, m)).sum();
+            mean += w * (fused * weighted);
+            covariance += w * w.transpose() * fused;
+        }
+        assert!((mean - matrix_form.mean).amax() < 1e-12);
+        assert!((covariance - matrix_form.covariance).amax() < 1e-12);
+    }
+
+    #[test]
+    fn finer_weights_fuse_better_on_average() {
+        // ch6 §3.3: 200 random triples of independent four-variate estimates, error variance relative to matrix weights
+        let mut seed = 1_u64;
+        let mut uniform = || {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (seed >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+        };
+        let mut totals = [0.0; 4];
+        for _ in 0..200 {
+            let truths: Vec<DMatrix<f64>> = (0..3)
+                .map(|_| {
+                    let a = DMatrix::from_fn(4, 4, |_, _| uniform());
+                    &a * a.transpose() + DMatrix::identity(4, 4) * 0.01
+                })
+                .collect();
+            // variance of the fused mean when each estimate weighs as the scheme says
+            let error = |weights: Option<Weights>| {
+                let informations: Vec<DMatrix<f64>> = truths
+                    .iter()
+                    .map(|truth| match weights {
+                        Some(weights) => weights.reduce(truth, false).try_inverse().unwrap(),
+                        None => DMatrix::identity(4, 4),
+                    })
+                    .collect();
+                let sum = informations.iter().fold(DMatrix::zeros(4, 4), |sum: DMatrix<f64>, i| sum + i);
+                let gain = sum.try_inverse().unwrap();
+                informations.iter().zip(&truths).map(|(i, t)| (&gain * i * t * i * &gain).trace()).sum::<f64>()
+            };
+            let reference = error(Some(Weights::Matrix));
+            for (total, weights) in totals.iter_mut().zip([Some(Weights::Matrix), Some(Weights::Vector), Some(Weights::Scalar), None])
+            {
+                *total += error(weights) / reference / 200.0;
+            }
+        }
+        assert!(totals.windows(2).all(|pair| pair[0] < pair[1]), "{totals:?}");
+        assert!((totals[0] - 1.0).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,142 @@
+//! Which nodes are wrong: their parameters against those of all others.
+//!
+//! Source: Huang & Yuen (2023), §7.4.1, (7.47) to (7.64). A sensor with a constant error looks regular to its own filter; its
+//! parameters do not fit those of the other nodes.
+
+use super::gaussian::Gaussian;
+use nalgebra::DVector;
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+/// The test of the nodes against one another.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct GlobalDetector {
+    /// Probability below which the distance of a regular node stays, 0.95 in the source.
+    pub screening: f64,
+    /// Outlier probability from which on a suspicious node is left out, 0.5 in the source.
+    pub exclusion: f64,
+    /// Leaves out the farthest node, looks again, and so on: one gross node then makes no other suspicious.
+    pub one_at_a_time: bool,
+}
+
+impl Default for GlobalDetector {
+    fn default() -> Self {
+        Self { screening: 0.95, exclusion: 0.5, one_at_a_time: false }
+    }
+}
+
+/// What the test found of one node.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct NodeDistance {
+    /// `d`: simplified Mahalanobis distance from all others, (7.52).
+    pub distance: f64,
+    /// It is left out of this fusion.
+    pub excluded: bool,
+}
+
+/// The fewest nodes that are kept.
+const FEWEST: usize = 2;
+
+/// Sums of weights `1/v` and of weighted means.
+struct Sums {
+    weights: DVector<f64>,
+    weighted: DVector<f64>,
+}
+
+impl Sums {
+    fn of<'g>(len: usize, nodes: impl Iterator<Item = &'g Gaussian>) -> Self {
+        let mut sums = Self { weights: DVector::zeros(len), weighted: DVector::zeros(len) };
+        for node in nodes {
+            for m in 0..len {
+                let weight = 1.0 / node.covariance[(m, m)];
+                sums.weights[m] += weight;
+                sums.weighted[m] += weight * node.mean[m];
+            }
+        }
+        sums
+    }
+
+    /// Squared distance of a node from these sums, without its own terms where it is part of them.
+    fn squared_distance(&self, node: &Gaussian, is_part: bool) -> f64 {
+        let mut sum = 0.0;
+        for m in 0..node.mean.len() {
+            let (variance, mean) = (node.covariance[(m, m)], node.mean[m]);
+            let own = if is_part { 1.0 / variance } else { 0.0 };
+            let weight = self.weights[m] - own;
+            if weight > 0.0 {
+                let others = (self.weighted[m] - own * mean) / weight;
+                sum += (others - mean).powi(2) / (1.0 / weight + variance);
+            }
+        }
+        sum
+    }
+}
+
+impl GlobalDetector {
+    /// Returns the distance from which on a node is suspicious, `√Φ⁻¹_χ²(screening)`, (7.53).
+    #[must_use]
+    pub fn limit(&self, parameters: usize) -> f64 {
+        chi_squared(parameters).map_or(f64::INFINITY, |chi| chi.inverse_cdf(self.screening).sqrt())
+    }
+
+    /// Judges the nodes by their densities of the same parameters; the order is kept. Fewer than three are not judged.
+    #[must_use]
+    pub fn judge(&self, nodes: &[&Gaussian]) -> Vec<NodeDistance> {
+        let parameters = nodes.first().map_or(0, |node| node.mean.len());
+        let Some(chi) = chi_squared(parameters).filter(|_| nodes.len() > FEWEST) else {
+            return vec![NodeDistance { distance: 0.0, excluded: false }; nodes.len()];
+        };
+        let limit = chi.inverse_cdf(self.screening).sqrt();
+        let all = Sums::of(parameters, nodes.iter().copied());
+        let mut found: Vec<NodeDistance> = nodes
+            .iter()
+            .map(|node| NodeDistance { distance: all.squared_distance(node, true).sqrt(), excluded: false })
+            .collect();
+        if self.one_at_a_time {
+            self.delete_farthest(nodes, limit, &mut found);
+            return found;
+        }
+        let mut regular: Vec<bool> = found.iter().map(|node| node.distance <= limit).collect();
+        if !regular.contains(&true) {
+            // none is left: those at or below the median stand for the regular ones
+            let mut distances: Vec<f64> = found.iter().map(|node| node.distance).collect();
+            distances.sort_by(f64::total_cmp);
+            let median = distances[(distances.len() - 1) / 2];
+            regular = found.iter().map(|node| node.distance <= median).collect();
+        }
+        let kept = Sums::of(parameters, nodes.iter().zip(&regular).filter(|(_, is)| **is).map(|(node, _)| *node));
+        for ((node, found), regular) in nodes.iter().zip(&mut found).zip(&regular) {
+            if !regular {
+                let squared = kept.squared_distance(node, false);
+                found.excluded = chi.cdf(squared) >= self.exclusion; // P_o^G, (7.59)
+            }
+        }
+        found
+    }
+
+    fn delete_farthest(&self, nodes: &[&Gaussian], limit: f64, found: &mut [NodeDistance]) {
+        let parameters = nodes[0].mean.len();
+        loop {
+            let left: Vec<usize> = (0..nodes.len()).filter(|index| !found[*index].excluded).collect();
+            if left.len() <= FEWEST {
+                return;
+            }
+            let sums = Sums::of(parameters, left.iter().map(|index| nodes[*index]));
+            for index in 0..nodes.len() {
+                found[index].distance = sums.squared_distance(nodes[index], !found[index].excluded).sqrt();
+            }
+            let farthest = left.iter().copied().max_by(|a, b| found[*a].distance.total_cmp(&found[*b].distance));
+            match farthest {
+                Some(index) if found[index].distance > limit => found[index].excluded = true,
+                Some(_) | None => return,
+            }
+        }
+    }
+}
+
+fn chi_squared(degrees: usize) -> Option<ChiSquared> {
+    ChiSquared::new(degrees as f64).ok()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,75 @@
+use super::*;
+use nalgebra::DMatrix;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+const NODES: usize = 16;
+const PARAMETERS: usize = 8;
+
+#[test]
+fn limits_are_those_of_the_chi_squared_distribution() {
+    let detector = GlobalDetector::default();
+    assert!((detector.limit(6) - 3.5485).abs() < 5e-5, "{}", detector.limit(6));
+    assert!((detector.limit(8) - 3.9379).abs() < 5e-5, "{}", detector.limit(8));
+}
+
+/// Shares of trials in which shifted and healthy nodes are left out, for nodes in `shifted` off by six deviations.
+fn shares(detector: GlobalDetector, shifted: &[usize], seed: u64) -> (f64, f64) {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let (mut hits, mut false_alarms) = (0_usize, 0_usize);
+    const TRIALS: usize = 2000;
+    for _ in 0..TRIALS {
+        let densities: Vec<Gaussian> = (0..NODES)
+            .map(|node| {
+                let mut mean = DVector::zeros(PARAMETERS);
+                let mut covariance = DMatrix::zeros(PARAMETERS, PARAMETERS);
+                for m in 0..PARAMETERS {
+                    let std = 0.5 + random.random::<f64>();
+                    let noise: f64 = random.sample(StandardNormal);
+                    let sign = if random.random::<bool>() { 1.0 } else { -1.0 };
+                    mean[m] = std * (noise + if shifted.contains(&node) { 6.0 * sign } else { 0.0 });
+                    covariance[(m, m)] = std * std;
+                }
+                Gaussian { mean, covariance }
+            })
+            .collect();
+        let found = detector.judge(&densities.iter().collect::<Vec<_>>());
+        for (node, found) in found.iter().enumerate().filter(|(_, found)| found.excluded) {
+            let _ = found;
+            if shifted.contains(&node) { hits += 1 } else { false_alarms += 1 }
+        }
+    }
+    let rate = |count: usize, of: usize| count as f64 / (of.max(1) * TRIALS) as f64;
+    (rate(hits, shifted.len()), rate(false_alarms, NODES - shifted.len()))
+}
+
+#[test]
+fn gross_nodes_are_found_and_healthy_ones_mostly_kept() {
+    // ch7 §5, check 4
+    let published = GlobalDetector::default();
+    let stepwise = GlobalDetector { one_at_a_time: true, ..published };
+    for seed in [1, 2, 3] {
+        let (_, clean) = shares(published, &[], seed);
+        assert!((0.04..0.06).contains(&clean), "seed {seed}: {clean}");
+        let (hit, healthy) = shares(published, &[4], seed);
+        assert!(hit > 0.999 && healthy < 0.13, "seed {seed}: {hit} {healthy}");
+        let (hit, healthy) = shares(published, &[1, 7, 12], seed);
+        assert!(hit > 0.999 && healthy < 0.30, "seed {seed}: {hit} {healthy}");
+        for shifted in [&[][..], &[4], &[1, 7, 12]] {
+            let (hit, healthy) = shares(stepwise, shifted, seed);
+            assert!(healthy < 0.07 && (shifted.is_empty() || hit > 0.999), "seed {seed}: {hit} {healthy}");
+        }
+    }
+}
+
+#[test]
+fn two_nodes_are_never_judged_and_two_are_always_left() {
+    let at = |mean: f64| Gaussian { mean: DVector::from_element(1, mean), covariance: DMatrix::identity(1, 1) };
+    let (near, far, farther) = (at(0.0), at(100.0), at(-100.0));
+    let detector = GlobalDetector { one_at_a_time: true, ..GlobalDetector::default() };
+    assert!(detector.judge(&[&near, &far]).iter().all(|node| !node.excluded));
+    let found = detector.judge(&[&near, &far, &farther]);
+    assert_eq!(found.iter().filter(|node| !node.excluded).count(), 2);
+    assert!(detector.judge(&[]).is_empty());
+}

@@ -1,0 +1,399 @@
+//! The filter of a sensor node: its own channels alone, and the station's feedback.
+//!
+//! Sources: Huang & Yuen (2023), §6.2, §6.3 and §7.3. A node knows its own counter only; that its clock is off against those
+//! of other nodes does no harm, because no sample of it ever meets one of theirs, (7.20).
+
+use super::compression::{CompressedMotion, CovarianceScheme, ModalBasis, MotionExchange};
+use super::gaussian::{Gaussian, Information};
+use crate::error::FilterError;
+use crate::extended::{ExtendedKalmanFilter, FilterState, Frame, Step};
+use crate::model::{ObservationModel, ProcessModel};
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+/// Messages that feedback may still answer; older ones are forgotten.
+const KEPT: usize = 16;
+
+/// What a node does with the fused density.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FeedbackRule {
+    /// It takes the place of the node's marginal density of the parameters; `p(x, ẋ | θ)` stays the node's own.
+    #[default]
+    Marginal,
+    /// As [`FeedbackRule::Marginal`], with the covariance times the number of nodes fused: information divided, not copied.
+    Federated,
+    /// The node takes the mean and keeps its covariance.
+    Mean,
+    /// The node goes on alone.
+    None,
+    /// Parameters and motion are overwritten and their correlation is dropped, as published: (6.17) and (6.21).
+    Reset,
+}
+
+/// What a node is told of the fusion.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Feedback {
+    /// Index of the node's own message that this answers.
+    pub answers: u64,
+    /// The fused density of the parameters.
+    pub parameters: Gaussian,
+    /// How many nodes were fused.
+    pub nodes: usize,
+    /// The fused motion, where motion is sent in modes.
+    pub motion: Option<CompressedMotion>,
+    /// By node: what it sent of its responses, where responses are sent.
+    pub responses: Vec<Option<CompressedMotion>>,
+}
+
+impl FeedbackRule {
+    /// Returns the density that takes the place of what the node had sent; `None` when nothing does.
+    pub(super) fn target(self, fused: &Gaussian, nodes: usize, sent: &Gaussian) -> Option<Gaussian> {
+        match self {
+            Self::Marginal | Self::Reset => Some(fused.clone()),
+            Self::Federated => {
+                Some(Gaussian { mean: fused.mean.clone(), covariance: &fused.covariance * nodes.max(1) as f64 })
+            }
+            Self::Mean => Some(Gaussian { mean: fused.mean.clone(), covariance: sent.covariance.clone() }),
+            Self::None => None,
+        }
+    }
+}
+
+/// From which density a node has started towards its message: what lies between is what it has learnt.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Lineage {
+    /// Its own last message, 0 for the prior that all nodes share.
+    pub own: u64,
+    /// Messages whose feedback it has taken since then.
+    pub answers: Vec<u64>,
+}
+
+/// What a node sends once in a fusion period.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LocalEstimate {
+    /// Its own count of fusion periods, from 1.
+    pub index: u64,
+    /// Its density of the parameters.
+    pub parameters: Gaussian,
+    /// From which density it started; `None` after it had to start anew, when nothing is to be counted as learnt.
+    pub lineage: Option<Lineage>,
+    /// Its motion, in modes or as its own responses, where motion is exchanged.
+    pub motion: Option<CompressedMotion>,
+}
+
+/// How a node takes part.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NodeSettings {
+    /// Samples in a fusion period, `r_s / r_c`, at least 1.
+    pub steps_per_period: u64,
+    /// What it does with feedback.
+    pub feedback: FeedbackRule,
+    /// How the covariance of the parameters is reduced.
+    pub scheme: CovarianceScheme,
+    /// What is told of the motion.
+    pub motion: MotionExchange,
+    /// Which of the nodes this is, from 0.
+    pub position: usize,
+    /// Means of parameters outside these (N_θ each) make the node start anew.
+    pub healthy: (DVector<f64>, DVector<f64>),
+}
+
+/// What came of feedback.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Taken {
+    /// It is part of the estimate now.
+    Applied,
+    /// It answers a message that is too old, answered already, or was never sent.
+    Stale,
+    /// It is no density, or none that fits what the node knows.
+    Refused,
+}
+
+/// The filter as it was when the last message was sent, and what has come since.
+#[derive(Debug, Clone)]
+struct Rewind {
+    index: u64,
+    state: FilterState,
+    /// observations and excitation of each frame since
+    frames: Vec<(Vec<f64>, Vec<f64>)>,
+}
+
+/// An adaptive extended Kalman filter that takes part in a fusion.
+///
+/// Feedback that answers the last message is taken at the instant of that message, and the samples since then are filtered
+/// again: how late it came makes no difference. Feedback that answers an earlier one shifts what is known now.
+#[derive(Debug, Clone)]
+pub struct LocalFilter<M> {
+    filter: ExtendedKalmanFilter<M>,
+    settings: NodeSettings,
+    prior: Gaussian,
+    counter: u64,
+    /// index and density of its last messages
+    sent: VecDeque<(u64, Gaussian)>,
+    rewind: Option<Rewind>,
+    /// what of the coming message's lineage is known; `None` after a new start
+    lineage: Option<Lineage>,
+    last_answer: u64,
+    /// means of the last fused density
+    fused: Option<DVector<f64>>,
+    restarts: u64,
+}
+
+impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
+    /// Makes a node from a filter at its prior.
+    ///
+    /// # Errors
+    /// When a setting does not fit the filter.
+    pub fn new(filter: ExtendedKalmanFilter<M>, settings: NodeSettings) -> Result<Self, FilterError> {
+        let prior = filter.parameters();
+        let parameters = prior.mean.len();
+        if settings.steps_per_period == 0 {
+            return Err(FilterError::Setting { what: "samples in a fusion period", found: 0.0, allowed: "at least 1" });
+        }
+        for (what, found) in
+            [("lower limit of health", settings.healthy.0.len()), ("upper limit of health", settings.healthy.1.len())]
+        {
+            if found != parameters {
+                return Err(FilterError::Dimension { what, found, expected: parameters });
+            }
+        }
+        let expected = filter.mean().len() - parameters;
+        let moving = match &settings.motion {
+            MotionExchange::None => None,
+            MotionExchange::Modes(basis) => Some(2 * basis.dofs()),
+            MotionExchange::Responses(nodes) => match nodes.get(settings.position) {
+                Some(_) => nodes.iter().map(|node| node.rows().ncols()).find(|columns| *columns != expected),
+                None => Some(0),
+            },
+        };
+        if let Some(found) = moving.filter(|found| *found != expected) {
+            return Err(FilterError::Dimension { what: "exchanged motion", found, expected });
+        }
+        Ok(Self {
+            filter,
+            settings,
+            prior,
+            counter: 0,
+            sent: VecDeque::with_capacity(KEPT),
+            rewind: None,
+            lineage: Some(Lineage { own: 0, answers: Vec::new() }),
+            last_answer: 0,
+            fused: None,
+            restarts: 0,
+        })
+    }
+
+    /// Takes one frame; a filter that diverges starts anew and the frame is lost.
+    ///
+    /// # Errors
+    /// When the frame does not fit the model.
+    pub fn step(&mut self, frame: Frame<'_>) -> Result<Option<Step>, FilterError> {
+        self.filter.check_frame(frame)?;
+        self.counter += 1;
+        let longest = self.settings.steps_per_period as usize;
+        self.rewind = self.rewind.take().filter(|rewind| rewind.frames.len() < longest);
+        if let Some(rewind) = &mut self.rewind {
+            rewind.frames.push((frame.observations.to_vec(), frame.excitation.to_vec()));
+        }
+        match self.filter.step(frame) {
+            Ok(step) => Ok(Some(step)),
+            Err(_diverged) => {
+                self.start_anew();
+                Ok(None)
+            }
+        }
+    }
+
+    /// Tells whether a fusion period has just ended.
+    #[must_use]
+    pub fn is_due(&self) -> bool {
+        self.counter > 0 && self.counter.is_multiple_of(self.settings.steps_per_period)
+    }
+
+    /// Returns what is to be sent now; a node that is not healthy starts anew first.
+    pub fn report(&mut self) -> LocalEstimate {
+        if !self.is_healthy() {
+            self.start_anew();
+        }
+        let index = self.counter / self.settings.steps_per_period;
+        let mut parameters = self.filter.parameters();
+        parameters.covariance = self.settings.scheme.reduce(&parameters.covariance);
+        let lineage = self.lineage.replace(Lineage { own: index, answers: Vec::new() });
+        if self.sent.len() == KEPT {
+            self.sent.pop_front();
+        }
+        self.sent.push_back((index, parameters.clone()));
+        self.rewind = Some(Rewind { index, state: self.filter.state().clone(), frames: Vec::new() });
+        let (mean, covariance) = (self.filter.mean(), self.filter.covariance());
+        let motion = match &self.settings.motion {
+            MotionExchange::None => None,
+            MotionExchange::Modes(basis) => Some(basis.compress(mean, covariance)),
+            MotionExchange::Responses(nodes) => Some(nodes[self.settings.position].compress(mean, covariance)),
+        };
+        LocalEstimate { index, parameters, lineage, motion }
+    }
+
+    /// Takes the answer of the station to one of its messages, however late.
+    pub fn take(&mut self, feedback: &Feedback) -> Taken {
+        let sent = self.sent.iter().find(|(index, _)| *index == feedback.answers);
+        let Some((_, sent)) = sent.filter(|_| feedback.answers > self.last_answer) else { return Taken::Stale };
+        let sent = sent.clone();
+        if feedback.parameters.information().is_err() {
+            return Taken::Refused;
+        }
+        let rewind = self.rewind.take_if(|rewind| rewind.index == feedback.answers);
+        let taken = match rewind {
+            Some(rewind) => self.take_then(rewind, feedback, &sent),
+            None => self.take_now(feedback, &sent),
+        };
+        if taken.is_err() {
+            return Taken::Refused;
+        }
+        if self.settings.feedback != FeedbackRule::None
+            && let Some(lineage) = &mut self.lineage
+        {
+            lineage.answers.push(feedback.answers);
+        }
+        self.fused = Some(feedback.parameters.mean.clone());
+        self.last_answer = feedback.answers;
+        self.sent.retain(|(index, _)| *index > feedback.answers);
+        Taken::Applied
+    }
+
+    /// Returns the filter.
+    #[must_use]
+    pub fn filter(&self) -> &ExtendedKalmanFilter<M> {
+        &self.filter
+    }
+
+    /// Returns the number of samples taken.
+    #[must_use]
+    pub fn steps(&self) -> u64 {
+        self.counter
+    }
+
+    /// Returns how often the node had to start anew.
+    #[must_use]
+    pub fn restarts(&self) -> u64 {
+        self.restarts
+    }
+
+    /// Forgets the motion and keeps everything else, after a gap of `steps` samples that is too long to be bridged.
+    pub fn skip(&mut self, steps: u64) {
+        self.counter += steps;
+        self.filter.forget_motion();
+        self.rewind = None;
+    }
+
+    /// Goes back to the instant of the message, takes the feedback there, and filters again what has come since.
+    fn take_then(&mut self, rewind: Rewind, feedback: &Feedback, sent: &Gaussian) -> Result<(), FilterError> {
+        let now = self.filter.state().clone();
+        let mut taken = self.filter.restore(rewind.state).and_then(|()| self.take_at_once(feedback, sent));
+        for (observations, excitation) in rewind.frames {
+            if taken.is_ok() {
+                taken = self
+                    .filter
+                    .step(Frame { observations: &observations, excitation: &excitation })
+                    .map(|_step| ());
+            }
+        }
+        if taken.is_err() {
+            self.filter.restore(now)?;
+        }
+        taken
+    }
+
+    fn take_at_once(&mut self, feedback: &Feedback, sent: &Gaussian) -> Result<(), FilterError> {
+        let Some(target) = self.settings.feedback.target(&feedback.parameters, feedback.nodes, sent) else {
+            return Ok(());
+        };
+        match (self.settings.feedback, &self.settings.motion, &feedback.motion) {
+            (FeedbackRule::Reset, MotionExchange::Modes(basis), Some(motion)) => {
+                reset(&mut self.filter, basis, motion, &feedback.parameters)
+            }
+            (_, MotionExchange::Responses(nodes), _) => {
+                self.filter.replace_parameters(&target)?;
+                let others = nodes.iter().zip(&feedback.responses).enumerate();
+                for (_, (node, sent)) in others.filter(|(position, _)| *position != self.settings.position) {
+                    let Some(motion) = sent.as_ref().filter(|motion| motion.is_sound(node.rows().nrows())) else { continue };
+                    self.filter.observe_motion(node.rows(), &motion.mean, &motion.variance)?;
+                }
+                Ok(())
+            }
+            _ => self.filter.replace_parameters(&target),
+        }
+    }
+
+    /// Adds `target − sent`, faded since then, to what the node knows of the parameters now.
+    fn take_now(&mut self, feedback: &Feedback, sent: &Gaussian) -> Result<(), FilterError> {
+        let Some(target) = self.settings.feedback.target(&feedback.parameters, feedback.nodes, sent) else {
+            return Ok(());
+        };
+        let late = self.counter - feedback.answers * self.settings.steps_per_period;
+        let growth = self.filter.settings().fading.value().powf(late as f64);
+        let mut now = self.filter.parameters().information()?;
+        now.add(1.0 / growth, &target.information()?);
+        now.add(-1.0 / growth, &sent.information()?);
+        self.filter.replace_parameters(&now.gaussian()?)
+    }
+
+    fn is_healthy(&self) -> bool {
+        let parameters = self.filter.parameters();
+        let (low, high) = &self.settings.healthy;
+        let mut means = parameters.mean.iter().zip(low.iter().zip(high));
+        means.all(|(mean, (low, high))| (low..=high).contains(&mean)) && parameters.information().is_ok()
+    }
+
+    /// Goes back to the prior, with the parameters at the last fused means.
+    fn start_anew(&mut self) {
+        self.restarts += 1;
+        self.filter.restart();
+        if let Some(mean) = &self.fused {
+            let anew = Gaussian { mean: mean.clone(), covariance: self.prior.covariance.clone() };
+            // a prior without uncertainty stays as it is
+            let _ = self.filter.replace_parameters(&anew);
+        }
+        self.sent.clear();
+        (self.lineage, self.rewind) = (None, None);
+    }
+}
+
+/// Overwrites parameters and motion, (6.17) and (6.21): the cross-covariances become zero.
+fn reset<M: ProcessModel + ObservationModel>(
+    filter: &mut ExtendedKalmanFilter<M>,
+    basis: &ModalBasis,
+    motion: &CompressedMotion,
+    parameters: &Gaussian,
+) -> Result<(), FilterError> {
+    let (n, moving) = (filter.mean().len(), 2 * basis.dofs());
+    let kept = 2 * basis.modes();
+    if !motion.is_sound(kept) {
+        return Err(FilterError::Dimension { what: "fused motion", found: motion.mean.len(), expected: kept });
+    }
+    let mut mean = DVector::zeros(n);
+    mean.rows_mut(0, moving).copy_from(&basis.extract(&motion.mean));
+    mean.rows_mut(moving, n - moving).copy_from(&parameters.mean);
+    let mut covariance = DMatrix::zeros(n, n);
+    covariance.view_mut((0, 0), (moving, moving)).copy_from(&basis.extract_covariance(&motion.variance));
+    covariance.view_mut((moving, moving), (n - moving, n - moving)).copy_from(&parameters.covariance);
+    filter.replace_state(&mean, &covariance)
+}
+
+/// Returns what a node started from, faded to `index`: its own message `own` and what feedback has changed since.
+pub(super) fn base(
+    own: (u64, &Gaussian),
+    shifts: &[(u64, Gaussian, Gaussian)],
+    index: u64,
+    growth_per_period: f64,
+) -> Result<Information, FilterError> {
+    let growth = |since: u64| growth_per_period.powf(index.saturating_sub(since) as f64);
+    let mut base = own.1.information()?;
+    base.fade(growth(own.0));
+    for (answered, target, sent) in shifts {
+        base.add(1.0 / growth(*answered), &target.information()?);
+        base.add(-1.0 / growth(*answered), &sent.information()?);
+    }
+    Ok(base)
+}

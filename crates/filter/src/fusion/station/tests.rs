@@ -1,0 +1,291 @@
+use super::*;
+use crate::extended::{ExtendedKalmanFilter, FilterSettings, Frame};
+use crate::fading::FadingFactor;
+use crate::fusion::local::{Lineage, LocalFilter, NodeSettings, Taken};
+use crate::fusion::{CovarianceScheme, product};
+use crate::model::{ObservationModel, ProcessModel};
+use crate::noise::NoiseModel;
+use nalgebra::DMatrix;
+
+/// Two constants, of which a node sees one weighted sum: everything is linear, and no motion hides what is learnt.
+#[derive(Debug, Clone)]
+struct Constants {
+    row: [f64; 2],
+    mean: [f64; 2],
+}
+
+impl ProcessModel for Constants {
+    fn state_len(&self) -> usize {
+        2
+    }
+    fn parameter_len(&self) -> usize {
+        2
+    }
+    fn excitation_len(&self) -> usize {
+        0
+    }
+    fn linearise_process(&mut self, _: &[f64], _: &[f64]) {}
+    fn derivative(&self, out: &mut [f64]) {
+        out.fill(0.0);
+    }
+    fn jacobian_mul(&self, _: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+        out.fill(0.0);
+    }
+    fn excitation_matrix(&self, _: &mut DMatrix<f64>) {}
+    fn rate_bound(&self) -> f64 {
+        0.0
+    }
+}
+
+impl ObservationModel for Constants {
+    fn observation_len(&self) -> usize {
+        1
+    }
+    fn linearise_observation(&mut self, state: &[f64], _: &[f64]) {
+        self.mean.copy_from_slice(state);
+    }
+    fn observe(&self, out: &mut [f64]) {
+        out[0] = self.row[0] * self.mean[0] + self.row[1] * self.mean[1];
+    }
+    fn observation_jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+        for (column, out) in columns.as_slice().chunks_exact(2).zip(out.as_mut_slice()) {
+            *out = self.row[0] * column[0] + self.row[1] * column[1];
+        }
+    }
+    fn feedthrough(&self) -> Option<&DMatrix<f64>> {
+        None
+    }
+}
+
+const PERIOD: u64 = 5;
+const NOISE: f64 = 0.3;
+
+fn fading() -> FadingFactor {
+    FadingFactor::from_half_life(60.0).unwrap()
+}
+
+fn prior() -> Gaussian {
+    Gaussian { mean: DVector::from_row_slice(&[0.9, 1.1]), covariance: DMatrix::from_diagonal_element(2, 2, 0.04) }
+}
+
+fn node(row: [f64; 2], feedback: FeedbackRule) -> LocalFilter<Constants> {
+    let noise = NoiseModel::known(DMatrix::zeros(0, 0), DMatrix::from_element(1, 1, NOISE * NOISE));
+    let std = prior().covariance.diagonal().map(f64::sqrt);
+    let mut settings = FilterSettings::new(0.1, prior().mean, std, noise);
+    settings.fading = fading();
+    let filter = ExtendedKalmanFilter::new(Constants { row, mean: [0.0; 2] }, settings).unwrap();
+    let limits = (DVector::repeat(2, -1e3), DVector::repeat(2, 1e3));
+    let settings = NodeSettings {
+        steps_per_period: PERIOD,
+        feedback,
+        scheme: CovarianceScheme::Full,
+        motion: MotionExchange::None,
+        position: 0,
+        healthy: limits,
+    };
+    LocalFilter::new(filter, settings).unwrap()
+}
+
+fn station(nodes: usize, rule: FusionRule, feedback: FeedbackRule) -> Station {
+    Station::new(StationSettings {
+        nodes,
+        prior: Gaussian { covariance: prior().covariance / fading().value(), ..prior() },
+        growth_per_period: fading().value().powi(PERIOD as i32),
+        variance_bound: DVector::repeat(2, f64::INFINITY),
+        rule,
+        feedback,
+        motion: MotionExchange::None,
+        detector: None,
+        stale_periods: 3.0,
+    })
+    .unwrap()
+}
+
+/// A datum of node `k` at `step`, reproducible and without a pattern.
+fn datum(k: usize, step: u64, row: [f64; 2]) -> f64 {
+    let noise = ((step as f64 * 12.9898 + k as f64 * 78.233).sin() * 43_758.547).fract() - 0.5;
+    row[0] * 1.05 + row[1] * 0.93 + NOISE * 2.0 * noise
+}
+
+/// The filter that has the data of all nodes, as information.
+struct Centralised(Information);
+
+impl Centralised {
+    fn step(&mut self, step: u64, rows: &[[f64; 2]]) {
+        if step > 0 {
+            self.0.fade(fading().value());
+        }
+        for (k, row) in rows.iter().enumerate() {
+            let row_vector = DVector::from_row_slice(row);
+            self.0.matrix += &row_vector * row_vector.transpose() / (NOISE * NOISE);
+            self.0.vector += row_vector * datum(k, step, *row) / (NOISE * NOISE);
+        }
+    }
+}
+
+const ROWS: [[f64; 2]; 4] = [[1.0, 0.2], [0.3, 1.0], [1.0, -0.5], [0.0, 0.7]];
+
+/// Runs four nodes for forty periods; feedback reaches node `k` `lag(k)` samples after it was sent. Returns the distances from
+/// the centralised filter: of the fused means, and relative, of the covariances.
+fn distance_from_centralised(feedback: FeedbackRule, lag: impl Fn(usize, u64) -> u64) -> (f64, f64) {
+    let mut nodes: Vec<_> = ROWS.iter().map(|row| node(*row, feedback)).collect();
+    let mut station = station(4, FusionRule::PriorCorrect(Sharing::Nothing), feedback);
+    let mut centralised = Centralised(prior().information().unwrap());
+    let mut under_way: Vec<(u64, usize, Feedback)> = Vec::new();
+    let mut worst = (0.0_f64, 0.0_f64);
+    for step in 0..40 * PERIOD {
+        centralised.step(step, &ROWS);
+        for (k, node) in nodes.iter_mut().enumerate() {
+            node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+        }
+        under_way.retain(|(due, k, feedback)| {
+            if *due <= step {
+                assert_eq!(nodes[*k].take(feedback), Taken::Applied, "step {step}, node {k}");
+            }
+            *due > step
+        });
+        if (step + 1) % PERIOD == 0 {
+            let period = ((step + 1) / PERIOD) as f64;
+            for (k, node) in nodes.iter_mut().enumerate() {
+                station.receive(k, node.report(), period).unwrap();
+            }
+            let fused = station.fuse(period);
+            assert_eq!(fused.used, 4);
+            let expected = centralised.0.gaussian().unwrap();
+            worst.0 = worst.0.max((&fused.parameters.mean - &expected.mean).amax());
+            let off = (&fused.parameters.covariance - &expected.covariance).amax() / expected.covariance.amax();
+            worst.1 = worst.1.max(off);
+            for (k, answer) in fused.feedback.into_iter().enumerate() {
+                let answer = answer.unwrap();
+                match lag(k, step) {
+                    0 => assert_eq!(nodes[k].take(&answer), Taken::Applied),
+                    u64::MAX => {} // lost
+                    lag => under_way.push((step + lag, k, answer)),
+                }
+            }
+        }
+    }
+    worst
+}
+
+#[test]
+fn independent_gains_make_the_centralised_filter_whatever_the_feedback_does() {
+    for feedback in [FeedbackRule::Marginal, FeedbackRule::Federated, FeedbackRule::None, FeedbackRule::Mean] {
+        let at_once = distance_from_centralised(feedback, |_, _| 0);
+        let late = distance_from_centralised(feedback, |k, _| 1 + 2 * k as u64);
+        let irregular =
+            distance_from_centralised(feedback, |k, step| if (step + k as u64).is_multiple_of(3) { u64::MAX } else { 2 });
+        for (case, (mean, covariance)) in [("at once", at_once), ("late", late), ("irregular", irregular)] {
+            assert!(mean < 1e-10 && covariance < 1e-10, "{feedback:?}, {case}: {mean:e}, {covariance:e}");
+        }
+    }
+}
+
+#[test]
+fn sixteen_copies_of_the_prior_fuse_to_the_prior() {
+    // ch6 §5, check 5
+    let message = |index| LocalEstimate {
+        index,
+        parameters: Gaussian { covariance: prior().covariance * fading().value().powi(PERIOD as i32 - 1), ..prior() },
+        lineage: Some(Lineage { own: 0, answers: Vec::new() }),
+        motion: None,
+    };
+    let faded = message(1).parameters;
+    for sharing in [Sharing::All, Sharing::Nothing, Sharing::Factor(4.0)] {
+        let mut station = station(16, FusionRule::PriorCorrect(sharing), FeedbackRule::Marginal);
+        for node in 0..16 {
+            station.receive(node, message(1), 1.0).unwrap();
+        }
+        let fused = station.fuse(1.0).parameters;
+        assert!((fused.mean - &faded.mean).amax() < 1e-10);
+        assert!((fused.covariance - &faded.covariance).amax() < 1e-10);
+    }
+    let mut station = station(16, FusionRule::Published, FeedbackRule::Reset);
+    for node in 0..16 {
+        station.receive(node, message(1), 1.0).unwrap();
+    }
+    let fused = station.fuse(1.0).parameters;
+    assert!((fused.covariance * 16.0 - &faded.covariance).amax() < 1e-10);
+    let (direct, _) = product(&vec![faded; 16]).unwrap();
+    assert!((fused.mean - direct.mean).amax() < 1e-10);
+}
+
+#[test]
+fn useless_messages_are_refused_and_change_nothing() {
+    let mut station = station(2, FusionRule::default(), FeedbackRule::Marginal);
+    let good = LocalEstimate {
+        index: 1,
+        parameters: prior(),
+        lineage: Some(Lineage { own: 0, answers: Vec::new() }),
+        motion: None,
+    };
+    let with = |parameters| LocalEstimate { parameters, ..good.clone() };
+    let nan = Gaussian { mean: DVector::from_row_slice(&[f64::NAN, 1.0]), ..prior() };
+    let indefinite = Gaussian { covariance: DMatrix::from_row_slice(2, 2, &[1.0, 2.0, 2.0, 1.0]), ..prior() };
+    let longer = Gaussian { mean: DVector::zeros(3), covariance: DMatrix::identity(3, 3) };
+    assert_eq!(station.receive(7, good.clone(), 1.0), Err(Refusal::UnknownNode));
+    assert_eq!(station.receive(0, with(nan), 1.0), Err(Refusal::NoDensity));
+    assert_eq!(station.receive(0, with(indefinite), 1.0), Err(Refusal::NoDensity));
+    assert_eq!(station.receive(0, with(longer), 1.0), Err(Refusal::Dimension));
+    assert!(!station.has_heard(0));
+    station.receive(0, good.clone(), 1.0).unwrap();
+    assert_eq!(station.receive(0, good.clone(), 1.0), Err(Refusal::Old), "a repeat");
+    assert!(station.has_heard(0));
+    station.forget(0);
+    station.receive(0, good, 1.0).unwrap();
+}
+
+#[test]
+fn without_messages_what_is_known_fades_up_to_its_bound() {
+    let mut station = station(2, FusionRule::default(), FeedbackRule::Marginal);
+    station.settings.variance_bound = DVector::repeat(2, 0.05);
+    let first = station.fuse(1.0).parameters;
+    assert!(first.covariance[(0, 0)] > 0.04 && first.covariance[(0, 0)] < 0.05);
+    let last = station.fuse(100.0);
+    assert!((last.parameters.covariance[(1, 1)] - 0.05).abs() < 1e-12);
+    assert_eq!(last.used, 0);
+    assert!((last.parameters.mean - prior().mean).amax() < 1e-12);
+}
+
+#[test]
+fn a_stale_message_is_left_out() {
+    let mut station = station(1, FusionRule::default(), FeedbackRule::Marginal);
+    let message = LocalEstimate {
+        index: 1,
+        parameters: prior(),
+        lineage: Some(Lineage { own: 0, answers: Vec::new() }),
+        motion: None,
+    };
+    station.receive(0, message, 1.0).unwrap();
+    let fused = station.fuse(5.0);
+    assert!(!fused.nodes[0].heard);
+    assert!(fused.feedback[0].is_none());
+}
+
+#[test]
+fn a_message_after_a_lost_one_counts_no_information_twice() {
+    // node 1 is heard every second time only: the station may know less than it could, never more
+    let feedback = FeedbackRule::None;
+    let mut nodes = [node(ROWS[0], feedback), node(ROWS[1], feedback)];
+    let mut station = station(2, FusionRule::PriorCorrect(Sharing::Nothing), feedback);
+    let mut centralised = Centralised(prior().information().unwrap());
+    for step in 0..30 * PERIOD {
+        centralised.step(step, &ROWS[..2]);
+        for (k, node) in nodes.iter_mut().enumerate() {
+            node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+        }
+        if (step + 1) % PERIOD == 0 {
+            let period = (step + 1) / PERIOD;
+            for (k, node) in nodes.iter_mut().enumerate() {
+                let report = node.report();
+                if k == 0 || period % 2 == 0 {
+                    station.receive(k, report, period as f64).unwrap();
+                }
+            }
+            let fused = station.fuse(period as f64).parameters;
+            let all = centralised.0.gaussian().unwrap().covariance;
+            let less = fused.covariance - all;
+            assert!(less.symmetric_eigen().eigenvalues.min() > -1e-6, "period {period}");
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! The structure as one sensor node sees it: the same model, and its own channels alone.
+
+use crate::node::Node;
+use crate::noise_level::{NoiseLevel, NoiseSource};
+use crate::structure::Structure;
+
+impl Structure {
+    /// Returns the structure with the channels of one node only, sampled at that node's rate; `None` if there is no such
+    /// node.
+    ///
+    /// An excitation that another node measures is unknown to this one. White noise of a slower node is the same process:
+    /// its variance times the time step stays.
+    #[must_use]
+    pub fn of_node(&self, name: &str) -> Option<Self> {
+        let position = self.nodes.iter().position(|node| node.name() == name)?;
+        let node = self.nodes[position].clone();
+        let first: usize = self.nodes[..position].iter().map(|node| node.channels().len()).sum();
+        let own = first..first + node.channels().len();
+        let own_channel = |channel: usize| own.contains(&channel).then(|| channel - first);
+        let sampling_rate_hz = node.sampling_rate_hz().unwrap_or(self.sampling_rate_hz);
+
+        let mut excitations = self.excitations.clone();
+        for excitation in &mut excitations {
+            excitation.measured = excitation.measured.and_then(|mut measured| {
+                measured.channel = own_channel(measured.channel)?;
+                Some(measured)
+            });
+            excitation.std *= (sampling_rate_hz / self.sampling_rate_hz).sqrt();
+        }
+        let rows: Vec<usize> =
+            (0..self.observation_channels.len()).filter(|row| own.contains(&self.observation_channels[*row])).collect();
+        let level = |level: &NoiseLevel| {
+            let mut level = level.clone();
+            match &mut level.source {
+                NoiseSource::Excitation(index) => level.std = excitations[*index].unknown_std(),
+                NoiseSource::Sensors(of_group) => {
+                    *of_group = of_group.iter().filter_map(|row| rows.iter().position(|own| own == row)).collect();
+                    if of_group.is_empty() {
+                        return None;
+                    }
+                }
+            }
+            Some(level)
+        };
+        let noise_levels = self.noise_levels.iter().filter_map(level).collect();
+        let mut simulation = self.simulation.clone();
+        simulation.clock_offsets_s = vec![self.simulation.clock_offsets_s[position]];
+        Some(Self {
+            sampling_rate_hz,
+            excitation_channels: excitations.iter().map(crate::Excitation::channel).collect(),
+            observation_channels: rows.iter().map(|row| self.observation_channels[*row] - first).collect(),
+            excitations,
+            nodes: vec![Node { sampling_rate_hz: None, ..node }],
+            noise_levels,
+            classes: None,
+            simulation,
+            ..self.clone()
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::Structure;
+    use std::path::Path;
+
+    fn demo() -> Structure {
+        let text = include_str!("../../../docs/examples/demo.toml");
+        Structure::parse(text, Path::new("demo.toml")).unwrap()
+    }
+
+    #[test]
+    fn a_node_sees_its_own_channels_and_no_excitation_of_others() {
+        let floor = demo().of_node("floor-3").unwrap();
+        assert_eq!(floor.channel_count(), 1);
+        assert_eq!((floor.observation_channels(), floor.excitation_channels()), (&[0][..], &[None][..]));
+        let names: Vec<&str> = floor.noise_levels().iter().map(|level| level.name()).collect();
+        assert_eq!(names, ["ground", "floors"]);
+        // the ground motion itself, no longer the noise of the sensor at the ground
+        assert_eq!(floor.noise_levels()[0].std(), 0.1);
+        let model = floor.model();
+        assert_eq!(spandrel_filter::ObservationModel::observation_len(&model), 1);
+        assert!(demo().of_node("floor-9").is_none());
+    }
+
+    #[test]
+    fn a_node_that_measures_the_excitation_knows_it() {
+        let ground = demo().of_node("ground").unwrap();
+        assert_eq!((ground.observation_channels(), ground.excitation_channels()), (&[][..], &[Some(0)][..]));
+        assert_eq!(ground.noise_levels()[0].std(), 0.005);
+    }
+
+    #[test]
+    fn a_slower_node_sees_the_same_white_noise() {
+        let text = include_str!("../../../docs/examples/demo.toml")
+            .replace("name = \"floor-3\"\n\n[[node.channel]]", "name = \"floor-3\"\nsampling-rate-hz = 50\n\n[[node.channel]]");
+        let structure = Structure::parse(&text, Path::new("slow.toml")).unwrap();
+        let floor = structure.of_node("floor-3").unwrap();
+        assert_eq!(floor.sampling_rate_hz(), 50.0);
+        assert!((floor.noise_levels()[0].std() - 0.1 / 2f64.sqrt()).abs() < 1e-15);
+    }
+}
