@@ -12,7 +12,7 @@ use nalgebra::DMatrix;
 const SERIES_TOLERANCE: f64 = 1e-16;
 
 /// Up to this `ρ h` the series converges without cancellation of its terms; longer steps are cut into substeps.
-const LARGEST_STEP: f64 = 1.5;
+pub(crate) const LARGEST_STEP: f64 = 1.5;
 
 /// How a known excitation runs between two frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

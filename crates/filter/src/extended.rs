@@ -15,6 +15,7 @@ use crate::noise::{
     ExcitationPath, NoiseEvents, NoiseModel, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget, Objective,
 };
 use crate::outlier::{OutlierSettings, OutlierState};
+use crate::proportional;
 use crate::update::{self, CovarianceForm, ExcitationPosterior};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -203,6 +204,8 @@ struct Workspace {
     objective: Objective,
     /// what a linear time-invariant model computes only once
     constant: Option<ConstantPath>,
+    /// the transition of a linear structure with proportional damping
+    proportional: Option<proportional::Transition>,
     /// P (n × n)
     covariance: DMatrix<f64>,
     /// y predicted (n)
@@ -257,6 +260,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         };
         let work = Workspace {
             constant,
+            proportional: model.proportional_form().map(|form| proportional::Transition::new(&form)),
             discretise: discretise::Workspace::new(n, inputs),
             update: update::Workspace::new(n, channels, settings.covariance_form),
             objective: Objective::new(channels, settings.noise.parameters.len()),
@@ -589,24 +593,29 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             work.ramp.gemv(1.0 / settings.step_s, &work.input_matrix, &work.older, 0.0);
             work.ramp.as_slice()
         });
-        let series = Series::choose(model.rate_bound(), settings.step_s);
-        discretise::integrate_inputs(model, settings.step_s, series, &mut work.inputs, ramp, &mut work.discretise);
+        let cross = state.posterior.as_ref().map(|posterior| {
+            work.cross.copy_from(&posterior.cross);
+            &mut work.cross
+        });
+        let (step_s, rate_bound) = (settings.step_s, model.rate_bound());
+        if let Some((transition, form)) = work.proportional.as_mut().zip(model.proportional_form()) {
+            transition.discretise(&form, step_s, rate_bound, &mut work.inputs, ramp);
+            transition.propagate_covariance_to(&state.covariance, &mut work.covariance);
+            if let Some(cross) = cross {
+                transition.mul_mut(cross);
+            }
+        } else {
+            let (series, scratch) = (Series::choose(rate_bound, step_s), &mut work.discretise);
+            discretise::integrate_inputs(model, step_s, series, &mut work.inputs, ramp, scratch);
+            discretise::propagate_covariance(model, step_s, series, &state.covariance, &mut work.covariance, scratch);
+            if let Some(cross) = cross {
+                discretise::transition_mul_narrow(model, step_s, series, cross, scratch);
+            }
+        }
         for (mean, increment) in work.mean.iter_mut().zip(&work.inputs.as_slice()[..n]) {
             *mean += increment; // y ← y + Γ g                                      (2.67)
         }
         work.input_matrix.as_mut_slice().copy_from_slice(&work.inputs.as_slice()[n..]); // B = Γ B_y
-        discretise::propagate_covariance(
-            model,
-            settings.step_s,
-            series,
-            &state.covariance,
-            &mut work.covariance,
-            &mut work.discretise,
-        );
-        if let Some(ExcitationPosterior { cross, .. }) = &state.posterior {
-            work.cross.copy_from(cross);
-            discretise::transition_mul_narrow(model, settings.step_s, series, &mut work.cross, &mut work.discretise);
-        }
         self.finish_prediction();
     }
 

@@ -12,6 +12,7 @@
 //! - [`noise`]: the noise levels and how they are identified
 //! - [`outlier`]: which samples are too far off to be used
 //! - [`discretise`]: one time step without inverting the Jacobian
+//! - [`proportional`]: the same, several times faster, for linear structures with proportional damping
 //! - [`update`]: the forms of the measurement update
 //! - [`extended`]: the adaptive extended Kalman filter, the chain of these stages
 //! - [`linear`]: linear models without parameters, also in modal coordinates
@@ -26,6 +27,8 @@
 //! This room knows nothing of structures or of the network; for a filter of a structure see `spandrel-structure`.
 
 mod dense;
+mod product;
+
 pub mod error;
 pub mod model;
 
@@ -41,6 +44,7 @@ pub mod linear;
 pub mod noise;
 pub mod outlier;
 pub mod particle;
+pub mod proportional;
 pub mod steady;
 pub mod update;
 
@@ -64,4 +68,5 @@ pub use particle::{
     Interval, ParticleFilter, ParticleModel, ParticleSettings, ParticleState, ParticleStep, Resampling, WarmStartState,
     WarmStartedParticleFilter,
 };
+pub use proportional::ProportionalForm;
 pub use update::CovarianceForm;

@@ -11,6 +11,7 @@
 //! drive the springs, (2.87) to (2.94). `K ẋ` of the damping is `S w`. A linear structure has `ṙ = w = ẋ` and `S = K`.
 
 mod point;
+mod proportional;
 mod response;
 
 use crate::assembly::Assembly;
@@ -23,8 +24,9 @@ use crate::sparse_cholesky::SparseCholesky;
 use crate::structure::Structure;
 use nalgebra::DMatrix;
 use point::Point;
+use proportional::StiffnessByMass;
 use response::Response;
-use spandrel_filter::{ObservationModel, ProcessModel};
+use spandrel_filter::{ObservationModel, ProcessModel, ProportionalForm};
 use std::ops::Range;
 
 /// A structure with its sensors, to be linearised at one point for the process and one for the observation.
@@ -33,6 +35,8 @@ pub struct StructureModel {
     fixed: Fixed,
     responses: Vec<Response>,
     process: Point,
+    /// At the point of the process, where the damping is proportional.
+    stiffness_by_mass: Option<StiffnessByMass>,
     observation: Point,
     feedthrough: DMatrix<f64>,
     has_feedthrough: bool,
@@ -90,8 +94,15 @@ impl StructureModel {
         let inputs = structure.excitations.len();
         let point = Point::new(&fixed, inputs);
         let feedthrough = DMatrix::zeros(responses.len(), inputs);
-        let mut model =
-            Self { process: point.clone(), observation: point, fixed, responses, feedthrough, has_feedthrough: false };
+        let mut model = Self {
+            process: point.clone(),
+            stiffness_by_mass: StiffnessByMass::new(&fixed, &structure.system.damping),
+            observation: point,
+            fixed,
+            responses,
+            feedthrough,
+            has_feedthrough: false,
+        };
         let mut state = vec![0.0; model.state_len()];
         let free = 2 * model.fixed.assembly.len();
         for (entry, parameter) in state[free..].iter_mut().zip(&structure.parameters) {
@@ -195,6 +206,9 @@ impl ProcessModel for StructureModel {
 
     fn linearise_process(&mut self, state: &[f64], excitation: &[f64]) {
         self.process.linearise(&self.fixed, state, excitation);
+        if let Some(stiffness_by_mass) = &mut self.stiffness_by_mass {
+            stiffness_by_mass.set(&self.fixed, &self.process);
+        }
     }
 
     fn derivative(&self, out: &mut [f64]) {
@@ -243,6 +257,17 @@ impl ProcessModel for StructureModel {
         }
         let discriminant = c * c - 4.0 * k;
         if discriminant > 0.0 { alpha.max((c + discriminant.sqrt()) / 2.0) } else { alpha.max(k.sqrt()) }
+    }
+
+    fn proportional_form(&self) -> Option<ProportionalForm<'_>> {
+        self.stiffness_by_mass.as_ref().map(|StiffnessByMass { matrix, half_bandwidth }| ProportionalForm {
+            stiffness: matrix,
+            stiffness_bound: self.largest_quotients().0,
+            half_bandwidth: *half_bandwidth,
+            alpha_per_s: self.process.alpha_per_s,
+            beta_s: self.process.beta_s,
+            acceleration_by_theta: &self.process.acceleration_by_theta,
+        })
     }
 }
 

@@ -307,7 +307,7 @@ impl Fixed {
     }
 
     /// Replaces a vector `r` (N_d) by `M⁻¹ r` with the mass as designed.
-    fn divide_by_mass(&self, r: &mut [f64]) {
+    pub(super) fn divide_by_mass(&self, r: &mut [f64]) {
         if let Some(factor) = &self.mass_factor {
             factor.solve_mut(r);
         }

@@ -1,0 +1,259 @@
+//! The blocks against the series that applies the Jacobian to columns.
+
+use super::*;
+use crate::discretise::{self, integrate_inputs, propagate_covariance, transition_mul_narrow};
+use crate::model::ProcessModel;
+
+const STEP_S: f64 = 0.01;
+const INPUTS: usize = 2;
+
+/// A structure by its matrices, moving; parameters act on accelerations as `W` says.
+struct Structure {
+    stiffness: DMatrix<f64>,
+    half_bandwidth: usize,
+    alpha_per_s: f64,
+    beta_s: f64,
+    by_theta: DMatrix<f64>,
+}
+
+fn wave(rows: usize, columns: usize) -> DMatrix<f64> {
+    DMatrix::from_fn(rows, columns, |i, j| ((5 * i + 3 * j + 1) as f64).sin())
+}
+
+/// A chain of unequal masses and springs, `reach` radians of its fastest mode a step.
+fn chain(masses: usize, parameters: usize, reach: f64) -> Structure {
+    let frequency = 0.5 * reach / STEP_S;
+    let spring = |j: usize| frequency * frequency * (0.7 + 0.3 * (j as f64).cos());
+    let stiffness = DMatrix::from_fn(masses, masses, |i, j| {
+        let above = if i + 1 < masses { spring(i + 1) } else { 0.0 };
+        let entry = match i.abs_diff(j) {
+            0 => spring(i) + above,
+            1 => -spring(i.max(j)),
+            _ => 0.0,
+        };
+        entry / (1.0 + 0.2 * (i as f64).sin())
+    });
+    Structure {
+        stiffness,
+        half_bandwidth: 1,
+        alpha_per_s: 0.3,
+        beta_s: 1e-3 / frequency,
+        by_theta: wave(masses, parameters),
+    }
+}
+
+/// A structure with a mass matrix that couples everything: `G` is full and not symmetric.
+fn coupled(masses: usize, parameters: usize, reach: f64) -> Structure {
+    let mut structure = chain(masses, parameters, reach);
+    let factor = DMatrix::identity(masses, masses) + wave(masses, masses) * 0.1;
+    let mass = &factor * factor.transpose();
+    structure.stiffness =
+        mass.cholesky().unwrap().solve(&(0.5 * (&structure.stiffness + structure.stiffness.transpose())));
+    let fastest = structure.stiffness.complex_eigenvalues().iter().map(|s| s.re).fold(0.0, f64::max);
+    structure.stiffness *= (reach / STEP_S).powi(2) / fastest;
+    structure.half_bandwidth = masses - 1;
+    structure
+}
+
+impl Structure {
+    fn stiffness_bound(&self) -> f64 {
+        let eigenvalues = self.stiffness.complex_eigenvalues();
+        assert!(eigenvalues.iter().all(|s| s.re >= 0.0 && s.im.abs() < 1e-9 * s.re));
+        1.001 * eigenvalues.iter().map(|s| s.re).fold(0.0, f64::max)
+    }
+
+    fn free(&self) -> usize {
+        self.stiffness.nrows()
+    }
+}
+
+impl ProcessModel for Structure {
+    fn state_len(&self) -> usize {
+        2 * self.free() + self.parameter_len()
+    }
+    fn parameter_len(&self) -> usize {
+        self.by_theta.ncols()
+    }
+    fn excitation_len(&self) -> usize {
+        INPUTS
+    }
+    fn linearise_process(&mut self, _: &[f64], _: &[f64]) {}
+    fn derivative(&self, out: &mut [f64]) {
+        out.fill(0.0);
+        for (j, entry) in out[..2 * self.free()].iter_mut().enumerate() {
+            *entry = (1.0 + j as f64).cos();
+        }
+    }
+    fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+        let free = self.free();
+        let (x, v) = (columns.rows(0, free), columns.rows(free, free));
+        out.fill(0.0);
+        out.rows_mut(0, free).copy_from(&v);
+        out.rows_mut(free, free).copy_from(
+            &(&self.by_theta * columns.rows(2 * free, self.parameter_len())
+                - &self.stiffness * (x + v * self.beta_s)
+                - v * self.alpha_per_s),
+        );
+    }
+    fn excitation_matrix(&self, out: &mut DMatrix<f64>) {
+        out.fill(0.0);
+        out.rows_mut(self.free(), self.free()).copy_from(&wave(self.free(), INPUTS));
+    }
+    fn rate_bound(&self) -> f64 {
+        let k = self.stiffness_bound();
+        let c = self.alpha_per_s + self.beta_s * k;
+        k.sqrt().max((c + (c * c - 4.0 * k).max(0.0).sqrt()) / 2.0)
+    }
+    fn proportional_form(&self) -> Option<ProportionalForm<'_>> {
+        Some(ProportionalForm {
+            stiffness: &self.stiffness,
+            stiffness_bound: self.stiffness_bound(),
+            half_bandwidth: self.half_bandwidth,
+            alpha_per_s: self.alpha_per_s,
+            beta_s: self.beta_s,
+            acceleration_by_theta: &self.by_theta,
+        })
+    }
+}
+
+/// A covariance of displacements and velocities as a motion has them, of the size of the fastest mode, and of parameters.
+fn covariance(structure: &Structure) -> DMatrix<f64> {
+    let (n, free) = (structure.state_len(), structure.free());
+    let rate = structure.stiffness_bound().sqrt();
+    let scale = |j: usize| if j < free { 1.0 / rate } else { 1.0 };
+    let factor = DMatrix::from_fn(n, n, |i, j| scale(i) * ((3 * i + 7 * j) as f64).sin());
+    let mut covariance = &factor * factor.transpose();
+    covariance.fill_lower_triangle_with_upper_triangle();
+    covariance
+}
+
+/// `[g, B_y]`, and the ramp.
+fn inputs(structure: &Structure) -> (DMatrix<f64>, Vec<f64>) {
+    let (n, free) = (structure.state_len(), structure.free());
+    let mut inputs = DMatrix::zeros(n, 1 + INPUTS);
+    structure.derivative(&mut inputs.as_mut_slice()[..n]);
+    let mut excitation = DMatrix::zeros(n, INPUTS);
+    structure.excitation_matrix(&mut excitation);
+    inputs.columns_mut(1, INPUTS).copy_from(&excitation);
+    let ramp = (0..n).map(|j| if (free..2 * free).contains(&j) { 30.0 * (j as f64).sin() } else { 0.0 }).collect();
+    (inputs, ramp)
+}
+
+/// Largest difference of two covariances, each entry by the deviations of its row and its column.
+fn worst_covariance(found: &DMatrix<f64>, expected: &DMatrix<f64>) -> f64 {
+    let std = expected.diagonal().map(f64::sqrt);
+    (found - expected).component_div(&(&std * std.transpose())).amax()
+}
+
+/// Largest difference of two matrices, each entry by the largest of its column and of its kind: displacement or velocity.
+fn worst_column(found: &DMatrix<f64>, expected: &DMatrix<f64>, free: usize) -> f64 {
+    let kinds = [0..free, free..2 * free, 2 * free..found.nrows()].into_iter().filter(|rows| !rows.is_empty());
+    kinds.fold(0.0, |worst: f64, rows| {
+        let size = expected.rows(rows.start, rows.len()).amax().max(f64::MIN_POSITIVE);
+        worst.max((found - expected).rows(rows.start, rows.len()).amax() / size)
+    })
+}
+
+#[track_caller]
+fn assert_agreement(what: &str, structure: &Structure, tolerance: f64) {
+    let form = structure.proportional_form().unwrap();
+    let series = Series::choose(structure.rate_bound(), STEP_S);
+    let (n, sigma) = (structure.state_len(), covariance(structure));
+    let (columns, slope) = inputs(structure);
+    let mut work = discretise::Workspace::new(n, INPUTS);
+    let mut transition = Transition::new(&form);
+    for ramp in [Some(&slope[..]), None] {
+        let (mut expected, mut found) = (columns.clone(), columns.clone());
+        integrate_inputs(structure, STEP_S, series, &mut expected, ramp, &mut work);
+        transition.discretise(&form, STEP_S, structure.rate_bound(), &mut found, ramp);
+        let error = worst_column(&found, &expected, structure.free());
+        assert!(error < tolerance, "{what}, {series:?}, ramp {}: inputs off by {error:e}", ramp.is_some());
+    }
+    let (mut expected, mut found) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
+    propagate_covariance(structure, STEP_S, series, &sigma, &mut expected, &mut work);
+    transition.propagate_covariance_to(&sigma, &mut found);
+    let error = worst_covariance(&found, &expected);
+    assert!(error < tolerance, "{what}, {series:?}: covariance off by {error:e}");
+    assert_eq!(found, found.transpose(), "{what}: the triangles have other bits");
+    let columns = sigma.columns(n - INPUTS, INPUTS).into_owned();
+    let (mut expected, mut found) = (columns.clone(), columns);
+    transition_mul_narrow(structure, STEP_S, series, &mut expected, &mut work);
+    transition.mul_mut(&mut found);
+    let error = worst_column(&found, &expected, structure.free());
+    assert!(error < tolerance, "{what}, {series:?}: columns off by {error:e}");
+}
+
+#[test]
+fn blocks_agree_with_the_operator_within_one_series() {
+    for reach in [1e-3, 0.1, 0.4, 1.0, 1.4] {
+        for parameters in [0, 1, 5] {
+            assert_agreement("chain", &chain(40, parameters, reach), 1e-12);
+            assert_agreement("coupled", &coupled(19, parameters, reach), 1e-12);
+            assert_agreement("oscillator", &chain(1, parameters, reach), 1e-12);
+        }
+    }
+}
+
+#[test]
+fn blocks_agree_with_the_operator_for_any_damping() {
+    for (alpha_per_s, damping_ratio) in [(0.0, 0.0), (5.0, 0.05), (0.0, 0.7), (3.0, 4.0)] {
+        for mut structure in [chain(30, 3, 0.3), coupled(12, 3, 0.3)] {
+            structure.alpha_per_s = alpha_per_s;
+            structure.beta_s = 2.0 * damping_ratio / structure.stiffness_bound().sqrt();
+            assert_agreement(&format!("α {alpha_per_s}, ζ {damping_ratio}"), &structure, 1e-12);
+        }
+    }
+}
+
+/// The operator's own rounding grows with its substeps.
+#[test]
+fn doubled_steps_agree_with_substeps_of_the_operator() {
+    for reach in [2.0, 6.0, 31.0, 200.0] {
+        assert_agreement("chain", &chain(20, 2, reach), 1e-11);
+        assert_agreement("coupled", &coupled(12, 2, reach), 1e-11);
+    }
+}
+
+/// As of the tower: modes of kilohertz, damped far beyond the critical.
+#[test]
+fn doubled_steps_of_overdamped_modes_agree_with_substeps_of_the_operator() {
+    let mut structure = coupled(12, 2, 20.0);
+    structure.beta_s = 6.0 / structure.stiffness_bound().sqrt();
+    assert_agreement("overdamped", &structure, 1e-11);
+}
+
+#[test]
+fn a_band_changes_nothing_but_what_is_computed() {
+    let (narrow, mut wide) = (chain(40, 3, 0.4), chain(40, 3, 0.4));
+    wide.half_bandwidth = 39;
+    let propagated = [&narrow, &wide].map(|structure| {
+        let form = structure.proportional_form().unwrap();
+        let mut transition = Transition::new(&form);
+        transition.discretise(&form, STEP_S, structure.rate_bound(), &mut inputs(structure).0, None);
+        let mut out = DMatrix::zeros(structure.state_len(), structure.state_len());
+        transition.propagate_covariance_to(&covariance(structure), &mut out);
+        assert_eq!(transition.half_bandwidth < 12, structure.half_bandwidth == 1);
+        out
+    });
+    assert!(worst_covariance(&propagated[0], &propagated[1]) < 1e-15);
+}
+
+/// `exp` on an interval, whose Taylor series needs degree 17 to the rounding of a double and Chebyshev's expansion 12.
+#[test]
+fn an_economised_polynomial_has_the_same_values_and_a_lower_degree() {
+    let (range, order) = (1.3, 25);
+    let mut coefficients = [0.0; 26];
+    let mut factorial = 1.0;
+    for (j, coefficient) in coefficients.iter_mut().enumerate() {
+        factorial *= j.max(1) as f64;
+        *coefficient = 1.0 / factorial;
+    }
+    let degree = economise_mut(&mut coefficients, order, range);
+    assert!(degree <= 12, "{degree}");
+    assert!(coefficients[degree + 1..].iter().all(|coefficient| *coefficient == 0.0));
+    for place in 0..=50 {
+        let z = -range * f64::from(place) / 50.0;
+        let found = coefficients.iter().rev().fold(0.0, |sum, coefficient| sum * z + coefficient);
+        assert!((found - z.exp()).abs() < 1e-15, "{z}: {found} instead of {}", z.exp());
+    }
+}
