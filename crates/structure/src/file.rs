@@ -9,6 +9,7 @@ mod classes;
 mod damping;
 mod excitation;
 mod filter;
+mod fusion;
 mod matrices;
 mod mesh;
 mod model;
@@ -42,6 +43,7 @@ struct Head {
     description: String,
     rate_hz: Option<f64>,
     display_rate_hz: f64,
+    distributed: Option<Spanned<bool>>,
 }
 
 /// Default of `display-rate-hz`: as fast as an eye follows.
@@ -100,6 +102,12 @@ impl<'t> StructureFile<'t> {
         }
         let all_parameters = (declared == parameters.len()).then_some(&parameters[..]);
         let classes = classes::read_classes(file.table("classes"), all_parameters);
+        let fusion = fusion::read_fusion(
+            file.table("fusion"),
+            head.distributed.as_ref(),
+            &file,
+            (head.rate_hz, &nodes.nodes, classes.is_some()),
+        );
         let parameter_names: Vec<&str> = parameters.iter().map(|read| read.parameter.name()).collect();
         let parameter_names = (declared == parameters.len()).then_some(&parameter_names[..]);
         let node_names: Vec<&str> = nodes.nodes.iter().map(crate::Node::name).collect();
@@ -129,6 +137,7 @@ impl<'t> StructureFile<'t> {
             noise_levels,
             plan,
             classes,
+            fusion,
             band_limit,
             ingest: ingest?,
             alert_rules,
@@ -139,11 +148,18 @@ impl<'t> StructureFile<'t> {
 }
 
 fn read_head(file: &mut Section<'_>) -> Head {
-    let mut head = Head { name: None, description: String::new(), rate_hz: None, display_rate_hz: DISPLAY_RATE_HZ };
+    let mut head = Head {
+        name: None,
+        description: String::new(),
+        rate_hz: None,
+        display_rate_hz: DISPLAY_RATE_HZ,
+        distributed: None,
+    };
     let Some(mut section) = file.required_table("structure") else { return head };
     head.name = section.required_name("name").map(Spanned::into_inner);
     head.description = section.text("description").map(Spanned::into_inner).unwrap_or_default();
     head.rate_hz = section.required_number("sampling-rate-hz", Allowed::RATE).map(Spanned::into_inner);
+    head.distributed = section.choice("identification", &fusion::IDENTIFICATIONS);
     head.display_rate_hz = section.number_or("display-rate-hz", Allowed::POSITIVE, DISPLAY_RATE_HZ);
     section.finish();
     head

@@ -40,6 +40,7 @@ mod alert_rule;
 mod error;
 mod excitation;
 mod filter_plan;
+mod fusion_plan;
 mod hysteresis;
 mod linear_system;
 mod node;
@@ -81,6 +82,7 @@ pub use check::{
 pub use classes::StructureClasses;
 pub use error::{Diagnostic, StructureError};
 pub use excitation::Excitation;
+pub use fusion_plan::FusionPlan;
 pub use model::StructureModel;
 pub use node::{Channel, Node, Quantity};
 pub use noise_level::{NoiseLevel, NoiseSource};

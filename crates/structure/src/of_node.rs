@@ -53,6 +53,7 @@ impl Structure {
             nodes: vec![Node { sampling_rate_hz: None, ..node }],
             noise_levels,
             classes: None,
+            fusion: None,
             simulation,
             ..self.clone()
         })

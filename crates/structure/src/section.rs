@@ -20,6 +20,7 @@ impl Allowed {
     pub(crate) const ANY: Self = Self { low: Bound::Unbounded, high: Bound::Unbounded };
     pub(crate) const POSITIVE: Self = Self { low: Bound::Excluded(0.0), high: Bound::Unbounded };
     pub(crate) const NOT_NEGATIVE: Self = Self { low: Bound::Included(0.0), high: Bound::Unbounded };
+    pub(crate) const FROM_ONE: Self = Self { low: Bound::Included(1.0), high: Bound::Unbounded };
     /// Above 0 and below 1.
     pub(crate) const INSIDE_UNIT: Self = Self { low: Bound::Excluded(0.0), high: Bound::Excluded(1.0) };
     /// Rates of frames (Hz): what the bus carries, and no faster than structures can move.

@@ -6,6 +6,7 @@ use crate::error::StructureError;
 use crate::excitation::Excitation;
 use crate::file::StructureFile;
 use crate::filter_plan::FilterPlan;
+use crate::fusion_plan::FusionPlan;
 use crate::linear_system::LinearSystem;
 use crate::modes::Modes;
 use crate::node::{Channel, Node};
@@ -35,6 +36,7 @@ pub struct Structure {
     pub(crate) noise_levels: Vec<NoiseLevel>,
     pub(crate) plan: FilterPlan,
     pub(crate) classes: Option<ClassesPlan>,
+    pub(crate) fusion: Option<FusionPlan>,
     pub(crate) band_limit: Option<BandLimit>,
     pub(crate) ingest: IngestSettings,
     pub(crate) alert_rules: Vec<AlertRule>,

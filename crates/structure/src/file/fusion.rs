@@ -1,0 +1,163 @@
+//! Reads `identification` of `[structure]` and `[fusion]`: whether and how nodes identify for themselves.
+
+use crate::fusion_plan::{FusionPlan, MotionPlan};
+use crate::node::Node;
+use crate::section::{Allowed, Section};
+use spandrel_filter::fusion::{CovarianceScheme, FeedbackRule, FusionRule, GlobalDetector, Sharing};
+use toml::Spanned;
+
+/// Words for whether identification is distributed.
+pub(super) const IDENTIFICATIONS: [(&str, bool); 2] = [("centralized", false), ("distributed", true)];
+
+#[derive(Clone, Copy, PartialEq)]
+enum Rule {
+    PriorCorrect,
+    Published,
+}
+
+const RULES: [(&str, Rule); 2] = [("prior-correct", Rule::PriorCorrect), ("published", Rule::Published)];
+
+const FEEDBACKS: [(&str, FeedbackRule); 5] = [
+    ("marginal", FeedbackRule::Marginal),
+    ("federated", FeedbackRule::Federated),
+    ("mean", FeedbackRule::Mean),
+    ("none", FeedbackRule::None),
+    ("reset", FeedbackRule::Reset),
+];
+
+const COVARIANCES: [(&str, bool); 2] = [("full", true), ("variances", false)];
+
+#[derive(Clone, Copy, PartialEq)]
+enum Motion {
+    None,
+    Modes,
+    Responses,
+}
+
+const MOTIONS: [(&str, Motion); 3] =
+    [("none", Motion::None), ("modes", Motion::Modes), ("responses", Motion::Responses)];
+
+#[derive(Clone, Copy, PartialEq)]
+enum Detector {
+    None,
+    AllAtOnce,
+    OneAtATime,
+}
+
+const DETECTORS: [(&str, Detector); 3] =
+    [("none", Detector::None), ("all-at-once", Detector::AllAtOnce), ("one-at-a-time", Detector::OneAtATime)];
+
+/// Fusions per second unless the file says otherwise.
+const RATE_HZ: f64 = 1.0;
+
+/// Periods after which a message is too old: Huang & Yuen (2023), chapter 7.
+const STALE_PERIODS: f64 = 3.0;
+
+/// Reads `[fusion]` of a structure whose identification is `distributed`; its nodes as read, its rate and classes.
+pub(super) fn read_fusion(
+    section: Option<Section<'_>>,
+    distributed: Option<&Spanned<bool>>,
+    file: &Section<'_>,
+    (rate_hz, nodes, has_classes): (Option<f64>, &[Node], bool),
+) -> Option<FusionPlan> {
+    let Some(span) = distributed.filter(|distributed| *distributed.get_ref()).map(Spanned::span) else {
+        if let Some(mut section) = section {
+            let allowed = "must not be there unless identification = \"distributed\" in [structure]";
+            section.diagnostics().report(section.span(), "fusion", "is given", allowed);
+            section.leave_unread(&[
+                "rate-hz", "rule", "sharing-factor", "feedback", "covariance", "motion", "modes", "detector", "screening",
+                "exclusion", "stale-periods",
+            ]);
+            section.finish();
+        }
+        return None;
+    };
+    if has_classes {
+        let allowed = "must not be distributed: model classes need the samples of all nodes in one filter";
+        file.diagnostics().report(span, "structure.identification", "is \"distributed\" beside [classes]", allowed);
+    }
+    let mut plan = FusionPlan {
+        rate_hz: RATE_HZ,
+        rule: FusionRule::default(),
+        feedback: FeedbackRule::default(),
+        covariance: CovarianceScheme::Full,
+        motion: MotionPlan::None,
+        detector: Some(GlobalDetector::default()),
+        stale_periods: STALE_PERIODS,
+    };
+    let Some(mut section) = section else {
+        check_rate(file, None, plan.rate_hz, rate_hz, nodes);
+        return Some(plan);
+    };
+    let fusion_rate = section.number("rate-hz", Allowed::POSITIVE);
+    plan.rate_hz = fusion_rate.as_ref().map_or(RATE_HZ, |rate| *rate.get_ref());
+    check_rate(&section, fusion_rate.as_ref(), plan.rate_hz, rate_hz, nodes);
+    let rule = section.choice("rule", &RULES).map_or(Rule::PriorCorrect, Spanned::into_inner);
+    let sharing = section.number("sharing-factor", Allowed::FROM_ONE);
+    plan.rule = match rule {
+        Rule::Published => FusionRule::Published,
+        Rule::PriorCorrect => {
+            FusionRule::PriorCorrect(sharing.as_ref().map_or(Sharing::All, |factor| Sharing::Factor(*factor.get_ref())))
+        }
+    };
+    if let (Rule::Published, Some(sharing)) = (rule, &sharing) {
+        let allowed = "must not stand beside rule = \"published\", which takes nodes as independent";
+        section.diagnostics().report(sharing.span(), section.key("sharing-factor"), "is given", allowed);
+    }
+    let feedback = section.choice("feedback", &FEEDBACKS);
+    plan.feedback = feedback.as_ref().map_or(plan.feedback, |feedback| *feedback.get_ref());
+    if let Some(full) = section.choice("covariance", &COVARIANCES) {
+        plan.covariance = if full.into_inner() { CovarianceScheme::Full } else { CovarianceScheme::Identity };
+    }
+    let motion = section.choice("motion", &MOTIONS).map_or(Motion::None, Spanned::into_inner);
+    let modes = section.whole("modes", 1, 10_000);
+    plan.motion = match motion {
+        Motion::None => MotionPlan::None,
+        Motion::Modes => MotionPlan::Modes(modes.as_ref().map(|modes| *modes.get_ref())),
+        Motion::Responses => MotionPlan::Responses,
+    };
+    if let Some(modes) = modes.filter(|_| motion != Motion::Modes) {
+        let allowed = "must not be given unless motion = \"modes\"";
+        section.diagnostics().report(modes.span(), section.key("modes"), "is given", allowed);
+    }
+    if let Some(feedback) = feedback.filter(|feedback| *feedback.get_ref() == FeedbackRule::Reset)
+        && motion != Motion::Modes
+    {
+        let allowed = "must stand beside motion = \"modes\", from which the motion is set anew";
+        section.diagnostics().report(feedback.span(), section.key("feedback"), "is \"reset\"", allowed);
+    }
+    let detector = section.choice("detector", &DETECTORS).map_or(Detector::AllAtOnce, Spanned::into_inner);
+    let default = GlobalDetector::default();
+    let found = GlobalDetector {
+        screening: section.number_or("screening", Allowed::INSIDE_UNIT, default.screening),
+        exclusion: section.number_or("exclusion", Allowed::INSIDE_UNIT, default.exclusion),
+        one_at_a_time: detector == Detector::OneAtATime,
+    };
+    plan.detector = (detector != Detector::None).then_some(found);
+    plan.stale_periods = section.number_or("stale-periods", Allowed::FROM_ONE, STALE_PERIODS);
+    section.finish();
+    Some(plan)
+}
+
+/// A node sends after a whole number of its samples.
+fn check_rate(
+    section: &Section<'_>,
+    given: Option<&Spanned<f64>>,
+    fusion_rate_hz: f64,
+    rate_hz: Option<f64>,
+    nodes: &[Node],
+) {
+    let Some(rate_hz) = rate_hz else { return };
+    for rate_hz in nodes.iter().map(|node| node.sampling_rate_hz().unwrap_or(rate_hz)).chain([rate_hz]) {
+        let samples = rate_hz / fusion_rate_hz;
+        if samples.round() < 1.0 || (samples - samples.round()).abs() > 1e-9 * samples {
+            let (span, key) = match given {
+                Some(given) => (given.span(), section.key("rate-hz")),
+                None => (section.span(), "fusion.rate-hz".to_owned()),
+            };
+            let allowed = format!("must be the sampling rate of each node, such as {rate_hz}, divided by a whole number");
+            section.diagnostics().report(span, key, format!("is {fusion_rate_hz}"), allowed);
+            return;
+        }
+    }
+}

@@ -1,0 +1,225 @@
+//! Distributed identification as the owner asks for it, turned into the settings of nodes and station.
+
+use crate::excitation::Action;
+use crate::node::Quantity;
+use crate::parameter::Scales;
+use crate::structure::Structure;
+use nalgebra::{DMatrix, DVector};
+use spandrel_filter::fusion::{
+    CovarianceScheme, FeedbackRule, FusionRule, Gaussian, GlobalDetector, LocalFilter, ModalBasis, MotionExchange,
+    NodeSettings, Responses, Station, StationSettings, Weights,
+};
+use crate::model::StructureModel;
+use spandrel_filter::{ExtendedKalmanFilter, FilterError, FilterSettings};
+
+/// Means outside these make a node start anew: of stiffness, and of everything else. Huang & Yuen (2023), chapter 7, leaves
+/// it open; a node that is lost stays lost without it.
+const HEALTHY_STIFFNESS: (f64, f64) = (0.3, 2.5);
+const HEALTHY_OTHERS: (f64, f64) = (-0.9, 10.0);
+
+/// What nodes tell one another of the motion, as the file says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum MotionPlan {
+    None,
+    /// So many modes, or as many as carry the mass.
+    Modes(Option<usize>),
+    Responses,
+}
+
+/// The `[fusion]` table of a structure file whose identification is distributed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FusionPlan {
+    pub(crate) rate_hz: f64,
+    pub(crate) rule: FusionRule,
+    pub(crate) feedback: FeedbackRule,
+    pub(crate) covariance: CovarianceScheme,
+    pub(crate) motion: MotionPlan,
+    pub(crate) detector: Option<GlobalDetector>,
+    pub(crate) stale_periods: f64,
+}
+
+impl FusionPlan {
+    /// Returns the rate of fusions (Hz).
+    #[must_use]
+    pub fn rate_hz(&self) -> f64 {
+        self.rate_hz
+    }
+
+    /// Returns the age (fusion periods) from which on a message is dropped.
+    #[must_use]
+    pub fn stale_periods(&self) -> f64 {
+        self.stale_periods
+    }
+}
+
+impl Structure {
+    /// Returns how its nodes are fused; `None` where one filter has the samples of all.
+    #[must_use]
+    pub fn fusion(&self) -> Option<&FusionPlan> {
+        self.fusion.as_ref()
+    }
+
+    /// Makes the filter of a sensor node, by its place in the file; `None` where identification is not distributed, or there
+    /// is no such node.
+    ///
+    /// # Errors
+    /// When the filter refuses its settings.
+    pub fn local_filter(&self, position: usize) -> Option<Result<LocalFilter<StructureModel>, FilterError>> {
+        self.local_filter_with(position, |_settings| {})
+    }
+
+    /// As [`Structure::local_filter`], with settings of the filter changed before it is made.
+    ///
+    /// # Errors
+    /// When the filter refuses its settings.
+    pub fn local_filter_with(
+        &self,
+        position: usize,
+        change: impl FnOnce(&mut FilterSettings),
+    ) -> Option<Result<LocalFilter<StructureModel>, FilterError>> {
+        let plan = self.fusion.as_ref()?;
+        let own = self.of_node(self.nodes.get(position)?.name())?;
+        let make = || {
+            let mut settings = own.filter_settings()?;
+            change(&mut settings);
+            let filter = ExtendedKalmanFilter::new(own.model(), settings)?;
+            let limits = |of: fn((f64, f64)) -> f64| {
+                let limit = |parameter: &crate::Parameter| match parameter.scales {
+                    Scales::Stiffness(_) => of(HEALTHY_STIFFNESS),
+                    _ => of(HEALTHY_OTHERS),
+                };
+                DVector::from_iterator(self.parameters.len(), self.parameters.iter().map(limit))
+            };
+            let settings = NodeSettings {
+                steps_per_period: (own.sampling_rate_hz() / plan.rate_hz).round() as u64,
+                feedback: plan.feedback,
+                scheme: plan.covariance.clone(),
+                motion: self.motion_exchange()?,
+                position,
+                healthy: (limits(|(low, _)| low), limits(|(_, high)| high)),
+            };
+            LocalFilter::new(filter, settings)
+        };
+        Some(make())
+    }
+
+    /// Makes the central station; `None` where identification is not distributed.
+    ///
+    /// # Errors
+    /// When the station refuses its settings.
+    pub fn station(&self) -> Option<Result<Station, FilterError>> {
+        let plan = self.fusion.as_ref()?;
+        let make = || {
+            let settings = self.filter_settings()?;
+            let (first, len) = (settings.prior_mean.len() - self.parameters.len(), self.parameters.len());
+            let prior_std = settings.prior_std.rows(first, len);
+            // the prior of a filter is for its first sample
+            let covariance = DMatrix::from_diagonal(&prior_std.map(|std| std * std / settings.fading.value()));
+            Station::new(StationSettings {
+                nodes: self.nodes.len(),
+                prior: Gaussian { mean: settings.prior_mean.rows(first, len).into_owned(), covariance },
+                growth_per_period: settings.fading.value().powf(self.sampling_rate_hz / plan.rate_hz),
+                variance_bound: settings.variance_bound.rows(first, len).into_owned(),
+                rule: plan.rule,
+                feedback: plan.feedback,
+                motion: self.motion_exchange()?,
+                detector: plan.detector,
+                stale_periods: plan.stale_periods,
+            })
+        };
+        Some(make())
+    }
+
+    /// Returns how many modes nodes send, and the share of the mass, set going by the excitation, that these miss: the worst of
+    /// its directions. `None` where nodes send no modes.
+    #[must_use]
+    pub fn sent_modes(&self) -> Option<(usize, f64)> {
+        let MotionPlan::Modes(asked) = self.fusion.as_ref()?.motion else { return None };
+        let (basis, missed) = self.modal_basis(asked)?;
+        Some((basis.modes(), missed))
+    }
+
+    /// Returns how many numbers a node sends in a fusion period, and how many it is sent; `None` where identification is not
+    /// distributed.
+    #[must_use]
+    pub fn numbers_per_period(&self, position: usize) -> Option<(usize, usize)> {
+        let plan = self.fusion.as_ref()?;
+        let parameters = self.parameters.len();
+        let density = match plan.covariance {
+            CovarianceScheme::Full => Weights::Mixed.message_numbers(0, 0, parameters),
+            CovarianceScheme::Identity | CovarianceScheme::Basis(_) => 2 * parameters,
+        };
+        Some(match self.motion_exchange().ok()? {
+            MotionExchange::None => (density, density),
+            MotionExchange::Modes(basis) => (density + 4 * basis.modes(), density + 4 * basis.modes()),
+            MotionExchange::Responses(nodes) => {
+                let all: usize = nodes.iter().map(|node| 2 * node.rows().nrows()).sum();
+                (density + 2 * nodes.get(position)?.rows().nrows(), density + all)
+            }
+        })
+    }
+
+    fn motion_exchange(&self) -> Result<MotionExchange, FilterError> {
+        let Some(plan) = &self.fusion else { return Ok(MotionExchange::None) };
+        Ok(match plan.motion {
+            MotionPlan::None => MotionExchange::None,
+            MotionPlan::Modes(asked) => match self.modal_basis(asked) {
+                Some((basis, _)) => MotionExchange::Modes(basis),
+                None => MotionExchange::None,
+            },
+            MotionPlan::Responses => {
+                MotionExchange::Responses(self.nodes.iter().map(|node| self.responses(node)).collect())
+            }
+        })
+    }
+
+    /// Keeps modes in the order of frequency up to the number asked for, or until they carry 95 % of the mass in every direction
+    /// of the excitation, Huang & Yuen (2023), chapter 6: the first modes alone can miss the one that matters.
+    fn modal_basis(&self, asked: Option<usize>) -> Option<(ModalBasis, f64)> {
+        let modes = self.nominal_modes()?;
+        let mass = self.system.mass.to_dense();
+        let missed = |count: usize| -> Option<f64> {
+            let basis = ModalBasis::new(modes.shapes.columns(0, count).into_owned(), &mass).ok()?;
+            let grounds = self.excitations.iter().filter_map(|excitation| match &excitation.action {
+                Action::Ground { influence } => Some(DVector::from_column_slice(influence)),
+                Action::Force { .. } => None,
+            });
+            let shares = grounds.map(|influence| basis.effective_mass_shares(&influence, &mass).iter().sum::<f64>());
+            Some(shares.fold(0.0, |worst: f64, share| worst.max(1.0 - share)))
+        };
+        let all = modes.shapes.ncols();
+        let count = match asked {
+            Some(count) => count.min(all),
+            None => (1..=all).find(|count| {
+                missed(*count).is_some_and(|missed| missed <= spandrel_filter::fusion::compression::MISSED_MASS)
+            })?,
+        };
+        let basis = ModalBasis::new(modes.shapes.columns(0, count).into_owned(), &mass).ok()?;
+        Some((basis, missed(count)?))
+    }
+
+    /// Returns the displacements, velocities and strains that a node measures, with the rates of the first and the last.
+    fn responses(&self, node: &crate::Node) -> Responses {
+        let free = self.system.len();
+        let mut rows: Vec<DVector<f64>> = Vec::new();
+        for channel in node.channels() {
+            let row = |shift: usize| {
+                let mut row = DVector::zeros(2 * free);
+                for (dof, coefficient) in &channel.sensed {
+                    row[shift + dof] = *coefficient;
+                }
+                row
+            };
+            match channel.quantity() {
+                Quantity::Displacement | Quantity::Strain => rows.extend([row(0), row(free)]),
+                Quantity::Velocity => rows.push(row(free)),
+                Quantity::AbsoluteAcceleration
+                | Quantity::RelativeAcceleration
+                | Quantity::RestoringAcceleration
+                | Quantity::GroundAcceleration
+                | Quantity::Force => {}
+            }
+        }
+        Responses::new(DMatrix::from_fn(rows.len(), 2 * free, |row, column| rows[row][column]))
+    }
+}
