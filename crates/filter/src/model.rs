@@ -2,7 +2,7 @@
 //!
 //! Notation: Huang & Yuen (2023), chapter 2. The state `y` holds the physical state first and the identified
 //! parameters `θ` last; `f` is the excitation, held over a step. Jacobians are operators: a model multiplies them with
-//! given columns and never hands out a dense matrix, because the Jacobian of a structure is sparse.
+//! given columns and need not hand out a matrix, because the Jacobian of a structure is sparse.
 
 use crate::constant::ConstantTransition;
 use crate::proportional::ProportionalForm;

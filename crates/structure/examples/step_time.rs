@@ -1,10 +1,14 @@
-//! Times the steps of the filters of example structures, one after the other.
+//! Times the steps of the filters of example structures: by the route of the structure, and by its Jacobian as an operator.
 //!
 //! `cargo run --release -p spandrel-structure --example step_time [name…]`; a name is that of a file in `docs/examples`.
 
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 
-use spandrel_filter::{ExtendedKalmanFilter, Frame};
+#[path = "../tests/by_operator/mod.rs"]
+mod by_operator;
+
+use by_operator::ByOperator;
+use spandrel_filter::{ExtendedKalmanFilter, Frame, ObservationModel, ProcessModel};
 use spandrel_structure::Structure;
 use std::error::Error;
 use std::path::Path;
@@ -20,23 +24,29 @@ fn main() -> Result<(), Box<dyn Error>> {
     for name in names {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(&name).with_extension("toml");
         let structure = Structure::read(&path)?;
-        let mut filter = ExtendedKalmanFilter::new(structure.model(), structure.filter_settings()?)?;
-        let mut times = Vec::new();
-        for frame in structure.simulator(1).take(FRAMES) {
-            let observations: Vec<f64> = structure.observation_channels().iter().map(|c| frame.values[*c]).collect();
-            let excitation: Vec<f64> =
-                structure.excitation_channels().iter().map(|c| c.map_or(0.0, |c| frame.values[c])).collect();
-            let start = Instant::now();
-            filter.step(Frame { observations: &observations, excitation: &excitation })?;
-            times.push(start.elapsed());
-            if times.iter().sum::<Duration>() > LONGEST {
-                break;
-            }
-        }
-        let n = filter.mean().len();
-        times.remove(0); // the first frame is not predicted
-        times.sort();
-        println!("{name}, n = {n}: median {:?}, fastest {:?} of {}", times[times.len() / 2], times[0], times.len());
+        let n = structure.model().state_len();
+        let by_structure = median_step(&structure, structure.model())?;
+        let by_operator = median_step(&structure, ByOperator(structure.model()))?;
+        println!("{name}, n = {n}: {by_structure:?}, by operator {by_operator:?}");
     }
     Ok(())
+}
+
+fn median_step(structure: &Structure, model: impl ProcessModel + ObservationModel) -> Result<Duration, Box<dyn Error>> {
+    let mut filter = ExtendedKalmanFilter::new(model, structure.filter_settings()?)?;
+    let mut times = Vec::new();
+    for frame in structure.simulator(1).take(FRAMES) {
+        let observations: Vec<f64> = structure.observation_channels().iter().map(|c| frame.values[*c]).collect();
+        let excitation: Vec<f64> =
+            structure.excitation_channels().iter().map(|c| c.map_or(0.0, |c| frame.values[c])).collect();
+        let start = Instant::now();
+        filter.step(Frame { observations: &observations, excitation: &excitation })?;
+        times.push(start.elapsed());
+        if times.iter().sum::<Duration>() > LONGEST {
+            break;
+        }
+    }
+    times.remove(0); // the first frame is not predicted
+    times.sort();
+    Ok(times[times.len() / 2])
 }

@@ -92,6 +92,7 @@ impl SparseCholesky {
         }
     }
 
+    #[inline] // a call for every column takes longer than the few entries of one
     fn column(&self, step: usize) -> impl Iterator<Item = (&usize, &f64)> {
         let entries = self.starts[step]..self.starts[step + 1];
         self.rows[entries.clone()].iter().zip(&self.values[entries])

@@ -1,60 +1,14 @@
 //! The step by the blocks of a structure with proportional damping against the step by its Jacobian as an operator.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "helpers of tests are no tests to clippy")]
 
-use nalgebra::{DMatrix, DVector};
-use spandrel_filter::{ExtendedKalmanFilter, FilterState, Frame, ObservationModel, ProcessModel};
+mod by_operator;
+
+use by_operator::ByOperator;
+use nalgebra::DVector;
+use spandrel_filter::{ExtendedKalmanFilter, FilterState, Frame, ProcessModel};
 use spandrel_structure::{SimulatedFrame, Structure, StructureModel};
 use std::fmt::Write;
 use std::path::Path;
-
-/// A structure whose damping the filter does not know to be proportional.
-#[derive(Debug, Clone)]
-struct ByOperator(StructureModel);
-
-impl ProcessModel for ByOperator {
-    fn state_len(&self) -> usize {
-        self.0.state_len()
-    }
-    fn parameter_len(&self) -> usize {
-        self.0.parameter_len()
-    }
-    fn excitation_len(&self) -> usize {
-        self.0.excitation_len()
-    }
-    fn linearise_process(&mut self, state: &[f64], excitation: &[f64]) {
-        self.0.linearise_process(state, excitation);
-    }
-    fn derivative(&self, out: &mut [f64]) {
-        self.0.derivative(out);
-    }
-    fn jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
-        self.0.jacobian_mul(columns, out);
-    }
-    fn excitation_matrix(&self, out: &mut DMatrix<f64>) {
-        self.0.excitation_matrix(out);
-    }
-    fn rate_bound(&self) -> f64 {
-        self.0.rate_bound()
-    }
-}
-
-impl ObservationModel for ByOperator {
-    fn observation_len(&self) -> usize {
-        self.0.observation_len()
-    }
-    fn linearise_observation(&mut self, state: &[f64], excitation: &[f64]) {
-        self.0.linearise_observation(state, excitation);
-    }
-    fn observe(&self, out: &mut [f64]) {
-        self.0.observe(out);
-    }
-    fn observation_jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
-        self.0.observation_jacobian_mul(columns, out);
-    }
-    fn feedthrough(&self) -> Option<&DMatrix<f64>> {
-        self.0.feedthrough()
-    }
-}
 
 /// Two filters of the same frames: by blocks and by the operator.
 struct Routes {
