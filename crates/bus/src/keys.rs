@@ -128,6 +128,24 @@ impl Keys {
         self.below(&format!("feedback/{node}"))
     }
 
+    /// Compressed local estimates of all nodes.
+    #[must_use]
+    pub fn all_local(&self) -> String {
+        self.below("local/*")
+    }
+
+    /// How one node does in the eyes of the station.
+    #[must_use]
+    pub fn node(&self, node: &Name) -> String {
+        self.below(&format!("node/{node}"))
+    }
+
+    /// How all nodes do.
+    #[must_use]
+    pub fn all_nodes(&self) -> String {
+        self.below("node/*")
+    }
+
     /// Outliers of one channel.
     #[must_use]
     pub fn outlier(&self, channel: &Name) -> String {
@@ -269,6 +287,8 @@ pub enum Topic {
     Local(Name),
     /// [`Keys::feedback`]
     Feedback(Name),
+    /// [`Keys::node`]
+    Node(Name),
     /// [`Keys::outlier`]
     Outlier(Name),
     /// [`Keys::event`]
@@ -313,6 +333,7 @@ pub fn parse_key(root: &Name, key: &str) -> Option<(Name, Topic)> {
         ["model-class"] => Topic::ModelClass,
         ["local", node] => Topic::Local(name(node)?),
         ["feedback", node] => Topic::Feedback(name(node)?),
+        ["node", node] => Topic::Node(name(node)?),
         ["outlier", channel] => Topic::Outlier(name(channel)?),
         ["event"] => Topic::Event,
         ["alert", parameter] => Topic::Alert(name(parameter)?),
@@ -368,6 +389,7 @@ mod tests {
             (keys.model_class(), Topic::ModelClass),
             (keys.local(&n), Topic::Local(n.clone())),
             (keys.feedback(&n), Topic::Feedback(n.clone())),
+            (keys.node(&n), Topic::Node(n.clone())),
             (keys.outlier(&n), Topic::Outlier(n.clone())),
             (keys.event(), Topic::Event),
             (keys.alert(&n), Topic::Alert(n.clone())),

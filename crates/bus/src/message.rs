@@ -7,9 +7,12 @@ mod caught_up;
 mod description;
 mod estimates;
 mod event;
+mod feedback;
 mod frames;
 mod header;
+mod local;
 mod model_class;
+mod node;
 mod noise;
 mod outlier;
 mod parameter;
@@ -27,9 +30,12 @@ pub use caught_up::CaughtUp;
 pub use description::Description;
 pub use estimates::{Estimate, EstimateBlock, EstimateFlags, Phase};
 pub use event::{Event, EventKind};
+pub use feedback::FeedbackMessage;
 pub use frames::FrameBlock;
 pub use header::{Header, MAX_SOURCE_BYTES};
+pub use local::{LocalDensity, LocalMessage, MotionNumbers, NodeLineage};
 pub use model_class::{ClassCalibration, ClassPlausibility, ModelClassDisplay};
+pub use node::{NodeDisplay, NodeHealth};
 pub use noise::NoiseDisplay;
 pub use outlier::{ChannelState, MaskedSpan, OutlierDisplay};
 pub use parameter::{CredibleInterval, ParameterDisplay};
@@ -287,6 +293,10 @@ fn check_finite(what: &'static str, found: f64) -> Result<(), Malformed> {
         return Ok(());
     }
     Err(Malformed::NotFinite { what, found })
+}
+
+fn check_finite_list(what: &'static str, values: &[f64]) -> Result<(), Malformed> {
+    values.iter().try_for_each(|value| check_finite(what, *value))
 }
 
 /// NaN is a missing value; infinity is a mistake.

@@ -1,13 +1,7 @@
 //! What people look at: parameters and noise levels at display rate, decimated in measurement time.
 
-use spandrel_bus::{CredibleInterval, Name, NoiseDisplay, ParameterDisplay};
-use spandrel_structure::{AlertRule, Reference};
-
-/// Level of the displayed interval, and its half-width in standard deviations of a Gaussian.
-const INTERVAL: (f64, f64) = (0.95, 1.959_963_984_540_054);
-
-/// What a display asks of a parameter that no alert rule watches.
-const UNWATCHED_LOSS: f64 = 0.05;
+use spandrel_bus::{Name, NoiseDisplay, ParameterDisplay};
+use spandrel_structure::Structure;
 
 /// Decides which frames are displayed: the first one in each interval of measurement time.
 ///
@@ -37,18 +31,9 @@ pub(crate) struct ParameterView {
 }
 
 impl ParameterView {
-    /// Takes the loss and, where it is known beforehand, the reference of the first rule that watches the parameter.
-    pub(crate) fn new(name: Name, index: usize, rules: &[AlertRule]) -> Self {
-        let rule = rules.iter().find_map(|rule| {
-            let position = rule.parameters.iter().position(|watched| *watched == index)?;
-            Some((rule, position))
-        });
-        let loss = rule.map_or(UNWATCHED_LOSS, |(rule, _)| rule.loss);
-        let reference = match rule.map(|(rule, position)| (&rule.reference, position)) {
-            Some((Reference::Given { mean, .. }, position)) => mean.get(position).copied().unwrap_or(1.0),
-            // a baseline is learnt by the alert service; until then a loss is counted from the design
-            Some((Reference::Design | Reference::Baseline { .. }, _)) | None => 1.0,
-        };
+    /// Takes what the display asks of the parameter from the structure file.
+    pub(crate) fn new(name: Name, index: usize, structure: &Structure) -> Self {
+        let (loss, reference) = structure.displayed_loss(index);
         Self { name, loss, reference }
     }
 
@@ -57,20 +42,8 @@ impl ParameterView {
     }
 
     pub(crate) fn display(&self, structure: &Name, time_ns: i64, mean: f64, variance: f64) -> ParameterDisplay {
-        let std = variance.max(0.0).sqrt();
-        let (level, half_width) = INTERVAL;
-        let threshold = (1.0 - self.loss) * self.reference;
-        ParameterDisplay {
-            structure: structure.clone(),
-            parameter: self.name.clone(),
-            time_ns,
-            mean,
-            std,
-            interval: CredibleInterval { level, low: mean - half_width * std, high: mean + half_width * std },
-            probability_of_loss: probability_below(threshold, mean, std),
-            loss: self.loss,
-            reference: self.reference,
-        }
+        let names = (structure, &self.name);
+        ParameterDisplay::of_gaussian(names, time_ns, (mean, variance), (self.loss, self.reference))
     }
 }
 
@@ -80,16 +53,6 @@ pub(crate) fn noise_display(structure: &Name, name: &Name, time_ns: i64, mean: f
 }
 
 /// Returns `Φ((threshold − mean)/std)` without loss of precision near 0.
-fn probability_below(threshold: f64, mean: f64, std: f64) -> f64 {
-    if std > 0.0 {
-        0.5 * libm::erfc((mean - threshold) / (std * std::f64::consts::SQRT_2))
-    } else if mean < threshold {
-        1.0
-    } else {
-        0.0
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -101,14 +64,5 @@ mod tests {
             let shown = (0..(10.0 * rate) as u64).filter(|frame| decimation.shows(*frame)).count();
             assert_eq!(shown, expected, "{rate} Hz shown at {display} Hz");
         }
-    }
-
-    #[test]
-    fn probability_is_that_of_the_gaussian_tables() {
-        assert!((probability_below(0.95, 0.95, 0.1) - 0.5).abs() < 1e-15);
-        // Φ(−1.959964) = 0.025 and Φ(−6) = 9.865876e-10
-        assert!((probability_below(0.0, 1.959_963_984_540_054, 1.0) - 0.025).abs() < 1e-12);
-        assert!((probability_below(0.0, 6.0, 1.0) / 9.865_876_450e-10 - 1.0).abs() < 1e-8);
-        assert_eq!(probability_below(0.95, 0.90, 0.0), 1.0);
     }
 }

@@ -16,6 +16,12 @@ pub enum IdentifyError {
         /// Why.
         source: FilterError,
     },
+    /// Nodes do not identify for themselves, or there is no such node.
+    #[error("structure {structure} has no such node that identifies for itself; see identification = \"distributed\"")]
+    NotDistributed {
+        /// The structure.
+        structure: String,
+    },
     /// A name is no chunk of a key expression.
     #[error("name in structure {structure} cannot be a key")]
     Name {

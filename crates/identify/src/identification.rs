@@ -170,7 +170,7 @@ impl Identification {
             .parameters()
             .iter()
             .enumerate()
-            .map(|(index, parameter)| Ok(ParameterView::new(named(parameter.name())?, index, structure.alert_rules())))
+            .map(|(index, parameter)| Ok(ParameterView::new(named(parameter.name())?, index, structure)))
             .collect::<Result<_, IdentifyError>>()?;
         let noise_names = estimator
             .settings()

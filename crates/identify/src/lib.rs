@@ -6,6 +6,8 @@
 //!
 //! - [`identification`]: the core, one structure; no clock, no network
 //! - [`estimator`]: what it runs, one filter or a bank of model classes
+//! - [`node`]: the core of a sensor node that identifies for itself, from its own channels alone
+//! - [`node_shell`]: joins such a node to the bus
 //! - [`pool`]: the threads that filters run on
 //! - [`shell`]: joins the identification of a structure to the bus
 //!
@@ -16,6 +18,8 @@ mod error;
 pub mod estimator;
 pub mod identification;
 mod model_classes;
+pub mod node;
+pub mod node_shell;
 pub mod pool;
 mod screening;
 pub mod shell;
@@ -23,5 +27,7 @@ pub mod shell;
 pub use error::IdentifyError;
 pub use estimator::{Estimator, ParticlePlan, Particles};
 pub use identification::{Identification, Input, Output};
+pub use node::{NodeIdentification, NodeInput, NodeOutput};
+pub use node_shell::NodeService;
 pub use pool::FilterPool;
 pub use shell::{ESTIMATES_KEPT, IdentifyService, log_event};

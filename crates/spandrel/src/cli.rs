@@ -44,8 +44,12 @@ pub enum Command {
     #[command(after_help = "Example: spandrel ingest --config spandrel.toml")]
     Ingest(ServiceArguments),
     /// Identify parameters and noise levels from frames.
-    #[command(after_help = "Example: spandrel identify --config spandrel.toml")]
-    Identify(ServiceArguments),
+    #[command(after_help = "Examples: spandrel identify --config spandrel.toml\n          \
+                            spandrel identify bridge.toml --node deck-3 --connect tcp/10.0.0.5:7447")]
+    Identify(IdentifyArguments),
+    /// Fuse what sensor nodes have identified for themselves.
+    #[command(after_help = "Example: spandrel fuse bridge.toml --config spandrel.toml")]
+    Fuse(ServiceArguments),
     /// Decide on alerts from estimates.
     #[command(after_help = "Example: spandrel alert --config spandrel.toml")]
     Alert(ServiceArguments),
@@ -140,6 +144,15 @@ impl std::str::FromStr for Speed {
 }
 
 #[derive(Debug, Args)]
+pub struct IdentifyArguments {
+    #[command(flatten)]
+    pub service: ServiceArguments,
+    /// Be the worker of this sensor node alone; may be repeated [default: all nodes that identify for themselves].
+    #[arg(long, value_name = "NAME")]
+    pub node: Vec<String>,
+}
+
+#[derive(Debug, Args)]
 pub struct DemoArguments {
     /// Times real time, or max.
     #[arg(long, default_value = "10")]
@@ -156,6 +169,9 @@ pub struct DemoArguments {
     /// End with one JSON object.
     #[arg(long)]
     pub json: bool,
+    /// Nodes that identify for themselves and a station that fuses them: forty storeys, sixteen nodes, three of them wrong.
+    #[arg(long, conflicts_with = "structure")]
+    pub distributed: bool,
     /// Another structure file, with a simulation table, than the built-in one.
     #[arg(long, value_name = "STRUCTURE.toml")]
     pub structure: Option<PathBuf>,

@@ -66,6 +66,17 @@ pub enum AppError {
         /// The structures.
         known: String,
     },
+    /// No node of this name identifies for itself.
+    #[error("no node `{name}` identifies for itself; those that do (identification = \"distributed\"): {known}")]
+    NoSuchNode {
+        /// The name.
+        name: String,
+        /// The nodes that do.
+        known: String,
+    },
+    /// A station was asked for, and no structure is identified by its nodes.
+    #[error("nothing to fuse: no structure has identification = \"distributed\"")]
+    NothingToFuse,
     /// The root or a name cannot be a key.
     #[error(transparent)]
     Name(#[from] NameError),
@@ -78,6 +89,9 @@ pub enum AppError {
     /// The identification failed.
     #[error(transparent)]
     Identify(#[from] IdentifyError),
+    /// The station failed.
+    #[error(transparent)]
+    Fuse(#[from] spandrel_fuse::FuseError),
     /// The alert service failed.
     #[error(transparent)]
     Alert(#[from] AlertError),

@@ -4,7 +4,8 @@ use crate::error::AppError;
 use crate::settings::Settings;
 use spandrel_alert::{AlertService, Baseline};
 use spandrel_bus::{Bus, Keys, Name};
-use spandrel_identify::{FilterPool, IdentifyService};
+use spandrel_fuse::FuseService;
+use spandrel_identify::{FilterPool, IdentifyService, NodeService};
 use spandrel_ingest::{IngestService, IngestSettings, Waiting};
 use spandrel_structure::{Reference, Structure};
 use std::num::NonZeroUsize;
@@ -107,6 +108,7 @@ pub fn watch_structure(settings: &Settings, path: &Path) -> Result<Watched, AppE
 pub struct Running {
     ingest: Stage,
     identify: Stage,
+    fuse: Stage,
     alert: Stage,
 }
 
@@ -162,7 +164,12 @@ impl Stage {
 impl Running {
     /// Makes an empty set of services.
     pub fn new() -> Self {
-        Self { ingest: Stage::new("ingest"), identify: Stage::new("identify"), alert: Stage::new("alert") }
+        Self {
+            ingest: Stage::new("ingest"),
+            identify: Stage::new("identify"),
+            fuse: Stage::new("fuse"),
+            alert: Stage::new("alert"),
+        }
     }
 
     /// Starts ingest for each structure.
@@ -184,24 +191,50 @@ impl Running {
         Ok(())
     }
 
-    /// Starts the identification of each structure on one pool of threads.
+    /// Starts the identification of each structure on one pool of threads: one worker, or one for each node where nodes
+    /// identify for themselves. With `only`, these nodes alone.
     ///
     /// # Errors
-    /// When one cannot start.
+    /// When one cannot start, or there is no such node.
     pub async fn start_identify(
         &mut self,
         bus: &Bus,
         watched: &[Watched],
         threads: Option<NonZeroUsize>,
+        only: &[String],
     ) -> Result<(), AppError> {
+        check_nodes(watched, only)?;
         let threads = threads.or_else(|| std::thread::available_parallelism().ok()).unwrap_or(NonZeroUsize::MIN);
         let no_thread = |source| AppError::Io { what: "cannot start a thread for the filters".to_owned(), source };
         let pool = FilterPool::start(threads).map_err(no_thread)?;
+        let wanted = |name: &str| only.is_empty() || only.iter().any(|wanted| wanted == name);
         for Watched { structure, keys, .. } in watched {
+            if structure.fusion().is_some() {
+                for (position, _) in structure.nodes().iter().enumerate().filter(|(_, node)| wanted(node.name())) {
+                    let service =
+                        NodeService::start(structure, position, bus, keys, epoch_now(), pool.clone()).await?;
+                    let stop = self.identify.stopped();
+                    self.identify.tasks.spawn(async move { Ok(service.run(stop).await?) });
+                }
+                continue;
+            }
             let id = Name::new("identify")?;
             let service = IdentifyService::start(structure, bus, keys.clone(), id, pool.clone()).await?;
             let stop = self.identify.stopped();
             self.identify.tasks.spawn(async move { Ok(service.run(stop).await?) });
+        }
+        Ok(())
+    }
+
+    /// Starts the central station of each structure whose nodes identify for themselves.
+    ///
+    /// # Errors
+    /// When one cannot start.
+    pub async fn start_fuse(&mut self, bus: &Bus, watched: &[Watched]) -> Result<(), AppError> {
+        for Watched { structure, keys, .. } in watched.iter().filter(|watched| watched.structure.fusion().is_some()) {
+            let service = FuseService::start(structure, bus, keys.clone(), Name::new("fuse")?, epoch_now()).await?;
+            let stop = self.fuse.stopped();
+            self.fuse.tasks.spawn(async move { Ok(service.run(stop).await?) });
         }
         Ok(())
     }
@@ -228,6 +261,7 @@ impl Running {
         tokio::select! {
             ended = self.ingest.ended() => ended,
             ended = self.identify.ended() => ended,
+            ended = self.fuse.ended() => ended,
             ended = self.alert.ended() => ended,
         }
     }
@@ -239,8 +273,23 @@ impl Running {
     pub async fn stop(mut self) -> Result<(), AppError> {
         let ingest = self.ingest.stop().await;
         let identify = self.identify.stop().await;
+        let fuse = self.fuse.stop().await;
         let alert = self.alert.stop().await;
-        ingest.and(identify).and(alert)
+        ingest.and(identify).and(fuse).and(alert)
+    }
+}
+
+/// Refuses names of nodes that none of the structures has, or that do not identify for themselves.
+fn check_nodes(watched: &[Watched], only: &[String]) -> Result<(), AppError> {
+    let distributed = || watched.iter().filter(|watched| watched.structure.fusion().is_some());
+    let known = || distributed().flat_map(|watched| watched.structure.nodes()).map(|node| node.name().to_owned());
+    match only.iter().find(|name| !known().any(|known| known == **name)) {
+        Some(name) => {
+            let known: Vec<String> = known().collect();
+            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+            Err(AppError::NoSuchNode { name: name.clone(), known })
+        }
+        None => Ok(()),
     }
 }
 

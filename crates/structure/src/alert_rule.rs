@@ -1,5 +1,7 @@
 //! What the owner wants to be told: which loss, how sure, for how long.
 
+use crate::structure::Structure;
+
 /// Asks for an alert when a parameter has lost a share of its reference with a given credibility.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AlertRule {
@@ -34,4 +36,26 @@ pub enum Reference {
         /// Its standard deviation, not negative.
         std: Vec<f64>,
     },
+}
+
+/// What a display asks of a parameter that no alert rule watches.
+const UNWATCHED_LOSS: f64 = 0.05;
+
+impl Structure {
+    /// Returns what a display asks of a parameter: the loss (share of the reference) and, where it is known beforehand, the
+    /// reference (ratio to nominal) of the first rule that watches it.
+    #[must_use]
+    pub fn displayed_loss(&self, parameter: usize) -> (f64, f64) {
+        let rule = self.alert_rules().iter().find_map(|rule| {
+            let position = rule.parameters.iter().position(|watched| *watched == parameter)?;
+            Some((rule, position))
+        });
+        let loss = rule.map_or(UNWATCHED_LOSS, |(rule, _)| rule.loss);
+        let reference = match rule.map(|(rule, position)| (&rule.reference, position)) {
+            Some((Reference::Given { mean, .. }, position)) => mean.get(position).copied().unwrap_or(1.0),
+            // a baseline is learnt by the alert service; until then a loss is counted from the design
+            Some((Reference::Design | Reference::Baseline { .. }, _)) | None => 1.0,
+        };
+        (loss, reference)
+    }
 }

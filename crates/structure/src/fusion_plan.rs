@@ -45,6 +45,24 @@ impl FusionPlan {
         self.rate_hz
     }
 
+    /// Returns what nodes do with the fused density.
+    #[must_use]
+    pub fn feedback(&self) -> FeedbackRule {
+        self.feedback
+    }
+
+    /// Tells whether nodes tell one another their responses.
+    #[must_use]
+    pub fn exchanges_responses(&self) -> bool {
+        self.motion == MotionPlan::Responses
+    }
+
+    /// Returns the test of the nodes, if there is one.
+    #[must_use]
+    pub fn detector(&self) -> Option<GlobalDetector> {
+        self.detector
+    }
+
     /// Returns the age (fusion periods) from which on a message is dropped.
     #[must_use]
     pub fn stale_periods(&self) -> f64 {

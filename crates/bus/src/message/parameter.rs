@@ -39,6 +39,44 @@ pub struct ParameterDisplay {
     pub reference: f64,
 }
 
+impl ParameterDisplay {
+    /// Level of the displayed interval, and its half-width in standard deviations of a Gaussian.
+    const INTERVAL: (f64, f64) = (0.95, 1.959_963_984_540_054);
+
+    /// Makes the display of a Gaussian estimate (ratio to nominal), with `loss` (a share of `reference`) asked about.
+    #[must_use]
+    pub fn of_gaussian(
+        (structure, parameter): (&Name, &Name),
+        time_ns: i64,
+        (mean, variance): (f64, f64),
+        (loss, reference): (f64, f64),
+    ) -> Self {
+        let std = variance.max(0.0).sqrt();
+        let (level, half_width) = Self::INTERVAL;
+        Self {
+            structure: structure.clone(),
+            parameter: parameter.clone(),
+            time_ns,
+            mean,
+            std,
+            interval: CredibleInterval { level, low: mean - half_width * std, high: mean + half_width * std },
+            probability_of_loss: probability_below((1.0 - loss) * reference, mean, std),
+            loss,
+            reference,
+        }
+    }
+}
+
+fn probability_below(threshold: f64, mean: f64, std: f64) -> f64 {
+    if std > 0.0 {
+        0.5 * libm::erfc((mean - threshold) / (std * std::f64::consts::SQRT_2))
+    } else if mean < threshold {
+        1.0
+    } else {
+        0.0
+    }
+}
+
 impl Message for ParameterDisplay {
     const TYPE: &'static str = "parameter";
     const VERSION: u16 = 1;
@@ -58,5 +96,18 @@ impl Message for ParameterDisplay {
         check_range("interval level", self.interval.level, 0.0, 1.0)?;
         check_range("probability of loss", self.probability_of_loss, 0.0, 1.0)?;
         check_range("loss", self.loss, 0.0, 1.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    #[test]
+    fn probability_is_that_of_the_gaussian_tables() {
+        assert!((probability_below(0.95, 0.95, 0.1) - 0.5).abs() < 1e-15);
+        // Φ(−1.959964) = 0.025 and Φ(−6) = 9.865876e-10
+        assert!((probability_below(0.0, 1.959_963_984_540_054, 1.0) - 0.025).abs() < 1e-12);
+        assert!((probability_below(0.0, 6.0, 1.0) / 9.865_876_450e-10 - 1.0).abs() < 1e-8);
+        assert_eq!(probability_below(0.95, 0.90, 0.0), 1.0);
     }
 }

@@ -26,6 +26,31 @@ pub struct Information {
 }
 
 impl Gaussian {
+    /// Makes a density from its mean (n) and the upper triangle of its covariance by columns (n(n+1)/2), or its n variances
+    /// alone; `None` when the lengths do not fit.
+    #[must_use]
+    pub fn from_triangle(mean: &[f64], covariance: &[f64]) -> Option<Self> {
+        let n = mean.len();
+        let covariance = if covariance.len() == n * (n + 1) / 2 {
+            DMatrix::from_fn(n, n, |i, j| {
+                let (low, high) = (i.min(j), i.max(j));
+                covariance[high * (high + 1) / 2 + low]
+            })
+        } else if covariance.len() == n {
+            DMatrix::from_diagonal(&DVector::from_column_slice(covariance))
+        } else {
+            return None;
+        };
+        Some(Self { mean: DVector::from_column_slice(mean), covariance })
+    }
+
+    /// Returns the upper triangle of the covariance by columns (n(n+1)/2).
+    #[must_use]
+    pub fn triangle(&self) -> Vec<f64> {
+        let n = self.mean.len();
+        (0..n).flat_map(|j| (0..=j).map(move |i| (i, j))).map(|at| self.covariance[at]).collect()
+    }
+
     /// Returns the information form.
     ///
     /// # Errors

@@ -19,6 +19,10 @@ const BUILT_IN: &str = include_str!("../../../../docs/examples/demo.toml");
 /// Name under which mistakes of the built-in structure would be told.
 const BUILT_IN_NAME: &str = "docs/examples/demo.toml";
 
+/// The same where nodes identify for themselves.
+const DISTRIBUTED: &str = include_str!("../../../../docs/examples/demo-distributed.toml");
+const DISTRIBUTED_NAME: &str = "docs/examples/demo-distributed.toml";
+
 /// Alert messages that wait for the collector; far more than a demo makes.
 const ALERTS_WAITING: usize = 4096;
 
@@ -30,6 +34,7 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
     let settings = Settings::load(&arguments.bus)?;
     let structure = match &arguments.structure {
         Some(path) => Structure::read(path)?,
+        None if arguments.distributed => Structure::parse(DISTRIBUTED, Path::new(DISTRIBUTED_NAME))?,
         None => Structure::parse(BUILT_IN, Path::new(BUILT_IN_NAME))?,
     };
     let keys = settings.bus.keys(structure.name())?;
@@ -38,8 +43,11 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
         let bus = Bus::open(&settings.bus).await?;
         let mut running = Running::new();
         running.start_alert(&bus, &watched).await?;
-        running.start_identify(&bus, &watched, settings.threads).await?;
-        running.start_ingest(&bus, &watched).await?;
+        running.start_fuse(&bus, &watched).await?;
+        running.start_identify(&bus, &watched, settings.threads, &[]).await?;
+        if watched.iter().any(|watched| watched.structure.fusion().is_none()) {
+            running.start_ingest(&bus, &watched).await?;
+        }
         let shown = !arguments.headless && std::io::stdout().is_terminal();
         let finished = tokio::select! {
             collected = show_and_collect(&bus, &watched[0], &arguments, shown) => collected,

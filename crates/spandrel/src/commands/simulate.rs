@@ -58,12 +58,20 @@ pub async fn simulate(
     bar: &ProgressBar,
 ) -> Result<(), AppError> {
     let epoch = epoch_now();
-    let settings = SensorSettings { speed, epoch, wait_for: vec![Service::Ingest, Service::Identify, Service::Alert] };
+    let settings = SensorSettings { speed, epoch, wait_for: readers(structure) };
     let nodes = NodePlan::of(structure, Clocks::AsSimulated).map_err(SensorError::from)?;
     let service = SensorService::start(nodes, structure.sampling_rate_hz(), bus, keys.clone(), settings).await?;
     let counted = bar.clone();
     let rows = simulated_rows(structure, seed, epoch as i64, frames).inspect(move |_| counted.inc(1));
     Ok(service.run(rows.map(Ok::<_, Infallible>), std::future::pending()).await?)
+}
+
+/// Returns the services that the samples of a structure wait for.
+pub fn readers(structure: &Structure) -> Vec<Service> {
+    match structure.fusion() {
+        Some(_) => vec![Service::Fuse],
+        None => vec![Service::Ingest, Service::Identify, Service::Alert],
+    }
 }
 
 fn write_record(structure: &Structure, path: &Path, seed: u64, frames: u64) -> Result<(), AppError> {

@@ -1,0 +1,244 @@
+//! Joins the station of one structure to the bus.
+
+use crate::error::FuseError;
+use crate::fusion::{Fusion, Input, Output};
+use spandrel_bus::{
+    Bus, BusError, Description, DisplayPublisher, EstimateBlock, Event, FeedbackMessage, Keys, LatestPublisher, LiveToken,
+    LiveWatch, LocalMessage, Message, Name, NodeDisplay, NumberedPublisher, NumberedStream, ParameterDisplay,
+    ProgressPublisher, Service, Status, Subscription,
+};
+use spandrel_structure::Structure;
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tracing::{info, warn};
+
+/// Estimates kept for readers that missed some.
+pub const ESTIMATES_KEPT: u64 = 4096;
+
+/// How often the station looks at its clock, and the status is put every so many looks.
+const TICK: Duration = Duration::from_millis(50);
+const TICKS_PER_STATUS: u32 = 20;
+
+/// After a stop, messages are waited for until none has come for this long.
+const LAST_MESSAGES: Duration = Duration::from_millis(100);
+
+/// Messages of nodes that wait; when there are more, the oldest is lost.
+const MESSAGES_WAITING: usize = 1024;
+
+/// The fusion service of one structure.
+#[derive(Debug)]
+pub struct FuseService {
+    core: Fusion,
+    messages: Subscription<LocalMessage>,
+    presence: LiveWatch,
+    estimates: NumberedPublisher<EstimateBlock>,
+    parameters: BTreeMap<Name, DisplayPublisher<ParameterDisplay>>,
+    feedback: Vec<DisplayPublisher<FeedbackMessage>>,
+    nodes: BTreeMap<Name, DisplayPublisher<NodeDisplay>>,
+    /// by key of their messages and of their liveliness tokens
+    positions: BTreeMap<String, usize>,
+    tokens: Vec<String>,
+    events: DisplayPublisher<Event>,
+    _description: LatestPublisher<Description>,
+    progress: ProgressPublisher,
+    status: DisplayPublisher<Status>,
+    keys: Keys,
+    service: Name,
+    id: Name,
+    epoch: u64,
+    token: Option<LiveToken>,
+}
+
+impl FuseService {
+    /// Checks everything and joins the bus; `id` names this instance, `epoch` is higher at each start.
+    ///
+    /// # Errors
+    /// When the structure is not identified by its nodes, or the bus refuses a declaration.
+    pub async fn start(structure: &Structure, bus: &Bus, keys: Keys, id: Name, epoch: u64) -> Result<Self, FuseError> {
+        let core = Fusion::new(structure, id.as_str(), epoch)?;
+        let estimates = bus
+            .publish_numbered(NumberedStream {
+                key: keys.estimates(),
+                buffer_key: keys.estimates_buffer(),
+                source: id.to_string(),
+                epoch,
+                capacity: ESTIMATES_KEPT,
+            })
+            .await?;
+        let mut parameters = BTreeMap::new();
+        for name in core.parameter_names() {
+            parameters.insert(name.clone(), bus.publish_display(keys.parameter(name)).await?);
+        }
+        let (mut feedback, mut nodes, mut positions) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
+        let mut tokens = Vec::new();
+        for (position, name) in core.node_names().enumerate() {
+            feedback.push(bus.publish_display(keys.feedback(name)).await?);
+            nodes.insert(name.clone(), bus.publish_display(keys.node(name)).await?);
+            positions.insert(keys.local(name), position);
+            tokens.push(keys.live(Service::Identify, name));
+        }
+        let description = bus.publish_latest(keys.description()).await?;
+        description
+            .put(&Description { structure: keys.structure().clone(), text: structure.text().to_owned() })
+            .await?;
+        let named = |text: &str| {
+            Name::new(text).map_err(|source| FuseError::Name { structure: structure.name().to_owned(), source })
+        };
+        let service = Self {
+            messages: bus.subscribe(keys.all_local(), MESSAGES_WAITING).await?,
+            presence: bus.watch_live(keys.all_live(Service::Identify)).await?,
+            estimates,
+            parameters,
+            feedback,
+            nodes,
+            positions,
+            tokens,
+            events: bus.publish_display(keys.event()).await?,
+            _description: description,
+            progress: bus.publish_progress(keys.progress(Service::Fuse), id.to_string()).await?,
+            status: bus.publish_display(keys.status(Service::Fuse, &id)).await?,
+            service: named(Service::Fuse.as_str())?,
+            token: Some(bus.announce(keys.live(Service::Fuse, &id)).await?),
+            core,
+            keys,
+            id,
+            epoch,
+        };
+        info!(structure = structure.name(), nodes = service.feedback.len(), "station ready");
+        Ok(service)
+    }
+
+    /// Runs until `stop`; messages that have arrived are still fused.
+    ///
+    /// # Errors
+    /// When the bus is closed underneath.
+    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), FuseError> {
+        tokio::pin!(stop);
+        let mut clock = tokio::time::interval(TICK);
+        let messages = self.messages.messages().clone();
+        let mut ticks = 0;
+        self.note_presence().await?;
+        loop {
+            tokio::select! {
+                message = messages.recv_async() => match message {
+                    Ok((key, message)) => self.take(&key, message).await?,
+                    Err(flume::RecvError::Disconnected) => break,
+                },
+                _present = self.presence.changed() => self.note_presence().await?,
+                _ = clock.tick() => {
+                    self.handle(Input::Tick(now_ns())).await?;
+                    ticks += 1;
+                    if ticks % TICKS_PER_STATUS == 0 {
+                        self.put_status().await?;
+                    }
+                }
+                () = &mut stop => break,
+            }
+        }
+        while let Ok(Ok((key, message))) = tokio::time::timeout(LAST_MESSAGES, messages.recv_async()).await {
+            self.take(&key, message).await?;
+        }
+        if let Some(token) = self.token.take() {
+            token.withdraw().await?;
+        }
+        Ok(())
+    }
+
+    async fn note_presence(&mut self) -> Result<(), FuseError> {
+        let present = self.presence.present();
+        self.handle(Input::Present(self.tokens.iter().map(|token| present.contains(token)).collect())).await
+    }
+
+    async fn take(&mut self, key: &str, message: LocalMessage) -> Result<(), FuseError> {
+        let Some(node) = self.positions.get(key).copied() else {
+            warn!(key, "message of a node that the structure file does not have");
+            return Ok(());
+        };
+        let bytes = message.encode().map_or(0, |payload| payload.len() as u64);
+        self.handle(Input::Local { node, message, bytes, arrived_ns: now_ns() }).await
+    }
+
+    async fn handle(&mut self, input: Input) -> Result<(), FuseError> {
+        let mut outputs = Vec::new();
+        self.core.handle(input, &mut outputs);
+        for output in outputs {
+            self.put(output).await?;
+        }
+        if let Some(done_ns) = self.core.done_ns() {
+            self.progress.set(self.epoch, self.core.done(), done_ns);
+        }
+        Ok(())
+    }
+
+    async fn put(&mut self, output: Output) -> Result<(), FuseError> {
+        match output {
+            Output::Estimates(block) => self.estimates.put(block).await?,
+            Output::Parameter(display) => {
+                if let Some(publisher) = self.parameters.get(&display.parameter) {
+                    show(publisher, &display).await?;
+                }
+            }
+            Output::Feedback(node, message) => {
+                if let Some(publisher) = self.feedback.get(node) {
+                    let bytes = message.encode().map_or(0, |payload| payload.len() as u64);
+                    self.core.count_sent(node, bytes);
+                    show(publisher, &message).await?;
+                }
+            }
+            Output::Node(display) => {
+                if let Some(publisher) = self.nodes.get(&display.node) {
+                    show(publisher, &display).await?;
+                }
+            }
+            Output::Event(event) => {
+                warn!(
+                    structure = event.structure.as_str(),
+                    subject = event.subject,
+                    what = event.what,
+                    why = event.why,
+                    "event"
+                );
+                self.events.put(&event).await?;
+            }
+        }
+        Ok(())
+    }
+
+    async fn put_status(&self) -> Result<(), FuseError> {
+        let now_ns = now_ns();
+        let mut drops = self.core.refused();
+        for (reason, count) in self.messages.refused() {
+            *drops.entry(format!("refused-{reason}")).or_default() += count;
+        }
+        let status = Status {
+            structure: self.keys.structure().clone(),
+            service: self.service.clone(),
+            id: self.id.clone(),
+            time_ns: now_ns,
+            lag_s: self.core.done_ns().map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
+            done: self.core.done(),
+            drops,
+            restarts: 0,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+        };
+        Ok(self.status.put(&status).await?)
+    }
+}
+
+/// Puts a message; one that cannot be encoded is told of and left out, the service goes on.
+async fn show<M: Message>(publisher: &DisplayPublisher<M>, message: &M) -> Result<(), BusError> {
+    match publisher.put(message).await {
+        Err(error @ BusError::Encode { .. }) => {
+            warn!(%error, "not sent");
+            Ok(())
+        }
+        result => result,
+    }
+}
+
+fn now_ns() -> i64 {
+    #[expect(clippy::disallowed_methods, reason = "the station fuses on its own clock")]
+    let now = SystemTime::now();
+    now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64)
+}

@@ -1,0 +1,178 @@
+//! Joins the identification by one sensor node to the bus.
+
+use crate::error::IdentifyError;
+use crate::node::{NodeIdentification, NodeInput, NodeOutput};
+use crate::pool::FilterPool;
+use crate::shell::log_event;
+use spandrel_bus::{
+    Bus, Delivery, DisplayPublisher, Event, FeedbackMessage, Keys, LiveToken, LocalMessage, Name, SampleBlock, Service,
+    Start, Status, Stream, Subscription,
+};
+use spandrel_structure::Structure;
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tracing::{debug, info, warn};
+
+/// How often the status is put.
+const STATUS_EVERY: Duration = Duration::from_secs(1);
+
+/// After a stop, samples are waited for until none has come for this long.
+const LAST_SAMPLES: Duration = Duration::from_millis(100);
+
+/// Replayed samples wait so long for an answer of the station.
+const ANSWER_WITHIN: Duration = Duration::from_secs(10);
+
+/// Answers that wait for the node; only the newest counts.
+const ANSWERS_WAITING: usize = 4;
+
+/// The worker of one sensor node.
+#[derive(Debug)]
+pub struct NodeService {
+    core: Option<NodeIdentification>,
+    pool: FilterPool,
+    samples: Stream<SampleBlock>,
+    feedback: Subscription<FeedbackMessage>,
+    local: DisplayPublisher<LocalMessage>,
+    events: DisplayPublisher<Event>,
+    status: DisplayPublisher<Status>,
+    structure: Name,
+    service: Name,
+    node: Name,
+    token: Option<LiveToken>,
+}
+
+impl NodeService {
+    /// Checks everything and joins the bus; `epoch` is higher at each start.
+    ///
+    /// # Errors
+    /// When the node cannot identify for itself, or the bus refuses a declaration.
+    pub async fn start(
+        structure: &Structure,
+        position: usize,
+        bus: &Bus,
+        keys: &Keys,
+        epoch: u64,
+        pool: FilterPool,
+    ) -> Result<Self, IdentifyError> {
+        let core = NodeIdentification::new(structure, position, epoch)?;
+        let named = |name: &str| {
+            Name::new(name).map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })
+        };
+        let node = named(structure.nodes()[position].name())?;
+        let settings = bus.reading(Start::Beginning);
+        let samples = bus.follow(keys.samples(&node), keys.buffer(&node), settings).await?;
+        let service = Self {
+            samples,
+            pool,
+            feedback: bus.subscribe(keys.feedback(&node), ANSWERS_WAITING).await?,
+            local: bus.publish_display(keys.local(&node)).await?,
+            events: bus.publish_display(keys.event()).await?,
+            status: bus.publish_display(keys.status(Service::Identify, &node)).await?,
+            token: Some(bus.announce(keys.live(Service::Identify, &node)).await?),
+            structure: keys.structure().clone(),
+            service: named(Service::Identify.as_str())?,
+            node,
+            core: Some(core),
+        };
+        info!(structure = structure.name(), node = service.node.as_str(), "node ready");
+        Ok(service)
+    }
+
+    /// Runs until `stop`; samples that have arrived are still done.
+    ///
+    /// # Errors
+    /// When the bus is closed underneath, or the thread of a filter was lost.
+    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), IdentifyError> {
+        tokio::pin!(stop);
+        let mut status = tokio::time::interval(STATUS_EVERY);
+        let deliveries = self.samples.deliveries().clone();
+        let answers = self.feedback.messages().clone();
+        loop {
+            let waits = self.core.as_ref().is_some_and(|core| core.awaits().is_some());
+            tokio::select! {
+                answer = answers.recv_async() => match answer {
+                    Ok((_, feedback)) => self.take(NodeInput::Feedback(feedback)).await?,
+                    Err(flume::RecvError::Disconnected) => break,
+                },
+                delivery = deliveries.recv_async(), if !waits => match delivery {
+                    Ok(delivery) => self.take_delivery(delivery).await?,
+                    Err(flume::RecvError::Disconnected) => break,
+                },
+                () = tokio::time::sleep(ANSWER_WITHIN), if waits => {
+                    let (structure, node) = (self.structure.as_str(), self.node.as_str());
+                    warn!(structure, node, "no answer of the station: going on without it");
+                    self.take(NodeInput::NoAnswer).await?;
+                }
+                _ = status.tick() => self.put_status().await?,
+                () = &mut stop => break,
+            }
+        }
+        while let Ok(Ok(delivery)) = tokio::time::timeout(LAST_SAMPLES, deliveries.recv_async()).await {
+            self.take_delivery(delivery).await?;
+            self.take(NodeInput::NoAnswer).await?;
+        }
+        if let Some(token) = self.token.take() {
+            token.withdraw().await?;
+        }
+        Ok(())
+    }
+
+    async fn take_delivery(&mut self, delivery: Delivery<SampleBlock>) -> Result<(), IdentifyError> {
+        match delivery {
+            Delivery::Block(block) => self.take(NodeInput::Samples(block)).await,
+            // the next block tells by its time how much is missing
+            Delivery::Gap(gap) => {
+                debug!(node = self.node.as_str(), from = gap.from, to = gap.to, "samples lost");
+                Ok(())
+            }
+        }
+    }
+
+    async fn take(&mut self, input: NodeInput) -> Result<(), IdentifyError> {
+        let lost = || IdentifyError::ThreadLost { structure: self.structure.to_string() };
+        let mut core = self.core.take().ok_or_else(lost)?;
+        let work = self.pool.run(move || {
+            let mut outputs = Vec::new();
+            core.handle(input, &mut outputs);
+            (core, outputs)
+        });
+        let Some((core, outputs)) = work.await else {
+            return Err(IdentifyError::ThreadLost { structure: self.structure.to_string() });
+        };
+        self.core = Some(core);
+        for output in outputs {
+            match output {
+                NodeOutput::Local(message) => self.local.put(&message).await?,
+                NodeOutput::Event(event) => {
+                    log_event(&event);
+                    self.events.put(&event).await?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    async fn put_status(&self) -> Result<(), IdentifyError> {
+        #[expect(clippy::disallowed_methods, reason = "the status tells the lag behind the wall clock")]
+        let now = SystemTime::now();
+        let now_ns = now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64);
+        let mut drops: BTreeMap<String, u64> = self.samples.counts().drops();
+        let core = self.core.as_ref();
+        for (reason, count) in core.into_iter().flat_map(NodeIdentification::dropped) {
+            *drops.entry((*reason).to_owned()).or_default() += count;
+        }
+        let status = Status {
+            structure: self.structure.clone(),
+            service: self.service.clone(),
+            id: self.node.clone(),
+            time_ns: now_ns,
+            lag_s: core.and_then(NodeIdentification::last_ns).map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
+            done: core.map_or(0, NodeIdentification::done),
+            drops,
+            restarts: core.map_or(0, NodeIdentification::restarts),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+        };
+        Ok(self.status.put(&status).await?)
+    }
+}
