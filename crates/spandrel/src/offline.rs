@@ -3,12 +3,14 @@
 use crate::error::AppError;
 use crate::summary::{Collector, Samples};
 use spandrel_alert::{Baseline, Watch};
-use spandrel_bus::EstimateBlock;
-use spandrel_identify::{Estimator, Identification, Input, Output};
+use spandrel_bus::{EstimateBlock, LocalMessage};
+use spandrel_fuse::Fusion;
+use spandrel_identify::{Estimator, Identification, Input, NodeIdentification, NodeInput, NodeOutput, Output};
 use spandrel_ingest::{Alignment, IngestError, Layout};
 use spandrel_record::RecordError;
 use spandrel_sensor::{Clocks, Cutter, NodePlan, Row, SensorError};
 use spandrel_structure::Structure;
+use std::collections::VecDeque;
 
 /// Samples per block: long enough that blocks cost nothing, short enough to stay in the cache.
 const BLOCK_SAMPLES: u64 = 256;
@@ -67,11 +69,103 @@ pub fn identify(
     Ok(chain.collector)
 }
 
+/// Identifies rows of a record as the nodes of a distributed structure and their station would, and decides on alerts.
+///
+/// `take` gets the fused estimates in order. Returns what was collected on the way.
+///
+/// # Errors
+/// When the structure cannot be identified by its nodes, the record cannot be read, or `take` fails.
+pub fn fuse(
+    structure: &Structure,
+    rows: impl Iterator<Item = Result<Row, RecordError>>,
+    baseline: Option<&Baseline>,
+    mut take: impl FnMut(&EstimateBlock) -> Result<(), AppError>,
+) -> Result<Collector, AppError> {
+    const EPOCH: u64 = 1;
+    let plans = NodePlan::of(structure, Clocks::Right).map_err(SensorError::from)?;
+    let workers = (0..plans.len()).map(|position| NodeIdentification::new(structure, position, EPOCH));
+    let mut network = Network {
+        fusion: Fusion::new(structure, "fuse", EPOCH)?,
+        workers: workers.collect::<Result<_, _>>()?,
+        watch: Watch::new(structure, baseline)?,
+        collector: collector(structure)?,
+        local: VecDeque::new(),
+    };
+    network.fusion.handle(spandrel_fuse::Input::Present(vec![true; plans.len()]), &mut Vec::new());
+    let mut cutter = Cutter::new(plans, EPOCH, BLOCK_SAMPLES);
+    let mut samples = Vec::new();
+    for row in rows {
+        let row = row?;
+        cutter.push(row.time_ns, &row.values, &mut samples);
+        for (node, block) in samples.drain(..) {
+            network.work(node, NodeInput::Samples(block));
+            network.settle(&mut take)?;
+        }
+    }
+    cutter.end(&mut samples);
+    for (node, block) in samples {
+        network.work(node, NodeInput::Samples(block));
+        network.settle(&mut take)?;
+    }
+    Ok(network.collector)
+}
+
+/// The nodes and the station without a bus between them.
+struct Network {
+    fusion: Fusion,
+    workers: Vec<NodeIdentification>,
+    watch: Watch,
+    collector: Collector,
+    /// messages on their way to the station
+    local: VecDeque<(usize, LocalMessage)>,
+}
+
+impl Network {
+    fn work(&mut self, node: usize, input: NodeInput) {
+        let mut outputs = Vec::new();
+        self.workers[node].handle(input, &mut outputs);
+        for output in outputs {
+            match output {
+                NodeOutput::Local(message) => self.local.push_back((node, message)),
+                NodeOutput::Event(event) => spandrel_identify::log_event(&event),
+            }
+        }
+    }
+
+    /// Passes messages on until nothing is on its way.
+    fn settle(&mut self, take: &mut impl FnMut(&EstimateBlock) -> Result<(), AppError>) -> Result<(), AppError> {
+        while let Some((node, message)) = self.local.pop_front() {
+            let arrived_ns = message.header.time_ns;
+            let mut outputs = Vec::new();
+            self.fusion.handle(spandrel_fuse::Input::Local { node, message, bytes: 0, arrived_ns }, &mut outputs);
+            for output in outputs {
+                match output {
+                    spandrel_fuse::Output::Estimates(block) => {
+                        let mut alerts = Vec::new();
+                        self.watch.handle_block(&block, &mut alerts)?;
+                        self.collector.take_estimates(&block);
+                        alerts.iter().for_each(|alert| self.collector.take_alert(alert));
+                        take(&block)?;
+                    }
+                    spandrel_fuse::Output::Feedback(node, feedback) => self.work(node, NodeInput::Feedback(feedback)),
+                    spandrel_fuse::Output::Event(event) => spandrel_identify::log_event(&event),
+                    spandrel_fuse::Output::Parameter(_) | spandrel_fuse::Output::Node(_) => {} // for people who watch a bus
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Makes an empty collector with the names of a structure.
 ///
 /// # Errors
 /// When the structure cannot be identified.
 pub fn collector(structure: &Structure) -> Result<Collector, AppError> {
+    if structure.fusion().is_some() {
+        let names = structure.parameters().iter().map(|parameter| parameter.name().to_owned()).collect();
+        return Ok(Collector::new(names, Vec::new())); // a station knows of no noise levels
+    }
     Ok(collector_of(&Identification::new(structure, "identify")?))
 }
 

@@ -6,7 +6,7 @@ use crate::error::AppError;
 use crate::record_source;
 use crate::services::{block_on, epoch_now, interrupted};
 use crate::settings::Settings;
-use spandrel_bus::{Bus, Service};
+use spandrel_bus::Bus;
 use spandrel_sensor::{Clocks, NodePlan, SensorError, SensorService, SensorSettings, recorded_rows};
 use spandrel_structure::Structure;
 
@@ -25,7 +25,7 @@ pub fn run(arguments: ReplayArguments) -> Result<(), AppError> {
         let sensor = SensorSettings {
             speed: arguments.speed.into(),
             epoch: epoch_now(),
-            wait_for: vec![Service::Ingest, Service::Identify, Service::Alert],
+            wait_for: super::simulate::readers(&structure),
         };
         let nodes = NodePlan::of(&structure, Clocks::Right).map_err(SensorError::from)?;
         let service = SensorService::start(nodes, structure.sampling_rate_hz(), &bus, keys, sensor).await?;
