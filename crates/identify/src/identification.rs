@@ -241,6 +241,13 @@ impl Identification {
         &self.estimator
     }
 
+    /// Returns what is to be said of the model classes at a time of measurement; `None` where there is one model.
+    #[must_use]
+    pub fn class_display(&self, time_ns: i64) -> Option<ModelClassDisplay> {
+        let (bank, view) = (self.estimator.classes()?, self.classes.as_ref()?);
+        Some(view.display(&self.structure, time_ns, bank))
+    }
+
     /// Tells whether several model classes are compared.
     #[must_use]
     pub fn compares_classes(&self) -> bool {
@@ -450,12 +457,8 @@ impl Identification {
         let Some(bridged) = self.stream.map(Stream::bridged_frames) else { return };
         let clips = step.limited_states > 0;
         if clips && self.since_clipped.is_none_or(|frames| frames > bridged) {
-            let mean = self.estimator.parameter_mean();
-            let at_bound = |(index, view): (usize, &ParameterView)| {
-                let (low, high) = self.estimator.bounds(index);
-                (mean[index] <= low || mean[index] >= high).then(|| view.name().to_string())
-            };
-            let names: Vec<String> = self.parameter_views.iter().enumerate().filter_map(at_bound).collect();
+            let at_bound = self.parameter_views.iter().enumerate().filter(|(index, _)| self.estimator.is_at_bound(*index));
+            let names: Vec<&str> = at_bound.map(|(_, view)| view.name().as_str()).collect();
             outputs.push(self.event(
                 time_ns,
                 EventKind::Unidentified,
@@ -568,9 +571,7 @@ impl Identification {
             let (mean, variance) = (noise.mean[l], noise.covariance[(l, l)]);
             outputs.push(Output::Noise(noise_display(&self.structure, name, time_ns, mean, variance)));
         }
-        if let (Some(bank), Some(view)) = (self.estimator.classes(), &self.classes) {
-            outputs.push(Output::Classes(view.display(&self.structure, time_ns, bank)));
-        }
+        outputs.extend(self.class_display(time_ns).map(Output::Classes));
         if let Some(outliers) = self.estimator.outliers() {
             for (view, screen) in self.screening.iter_mut().zip(outliers.channels()) {
                 outputs.push(Output::Outliers(view.display(&self.structure, time_ns, screen)));

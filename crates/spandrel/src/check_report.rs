@@ -19,6 +19,7 @@
 //!   `advice`, which is `null` where the text says it all
 
 use serde::Serialize;
+use crate::commands::counted;
 use spandrel_structure::{
     CheckReport, Finding, ModeReport, NoiseSource, ParameterReport, Severity, Structure, TimeStepReport,
 };
@@ -134,7 +135,7 @@ impl CheckPage {
                 NoiseLevelLine {
                     name: report.name,
                     std: level.std(),
-                    unit: unit(structure, level.source()),
+                    unit: structure.noise_unit(level),
                     adapted: report.adapted,
                     relative_std_after: report.relative_std_after,
                     haste: report.haste,
@@ -149,19 +150,6 @@ impl CheckPage {
 /// A standard deviation, ratio to nominal.
 fn deviation(value: f64) -> String {
     if value < SMALL { format!("{value:.1e}") } else { format!("{value:.4}") }
-}
-
-/// The unit in which the level of a source is stated.
-fn unit(structure: &Structure, source: &NoiseSource) -> &'static str {
-    match source {
-        NoiseSource::Excitation(component) => structure.excitations().get(*component).map_or("", |e| e.unit()),
-        NoiseSource::Sensors(rows) => {
-            let channel = rows.first().and_then(|row| structure.observation_channels().get(*row));
-            channel
-                .and_then(|channel| structure.channels().nth(*channel))
-                .map_or("", |channel| channel.quantity().unit())
-        }
-    }
 }
 
 /// What the findings mean for one parameter, the worst of them.
@@ -230,7 +218,10 @@ impl fmt::Display for CheckPage {
         writeln!(f, "{structure}{separator}{description}")?;
         writeln!(
             f,
-            "{degrees_of_freedom} degrees of freedom, {channels} channels on {nodes} nodes, {sampling_rate_hz} Hz"
+            "{}, {} on {}, {sampling_rate_hz} Hz",
+            counted(*degrees_of_freedom, "degree of freedom", "degrees of freedom"),
+            counted(*channels, "channel", "channels"),
+            counted(*nodes, "node", "nodes")
         )?;
         self.write_modes(f)?;
         self.write_parameters(f)?;

@@ -34,7 +34,7 @@ pub fn identify(
     let nodes = NodePlan::of(structure, Clocks::Right).map_err(SensorError::from)?;
     let mut chain = Chain {
         alignment: Alignment::new(layout, "ingest".to_owned(), 1),
-        collector: collector_of(&identification),
+        collector: Collector::new(structure),
         identification,
         watch: Watch::new(structure, baseline)?,
         channels: structure.channels().map(|channel| channel.name().to_owned()).collect(),
@@ -42,6 +42,8 @@ pub fn identify(
         frames: Vec::new(),
         outputs: Vec::new(),
         alerts: Vec::new(),
+        start_ns: None,
+        last_ns: 0,
     };
     let mut cutter = Cutter::new(nodes, 1, BLOCK_SAMPLES);
     let mut samples = Vec::new();
@@ -61,24 +63,13 @@ pub fn identify(
     if chain.samples != Samples::default() {
         chain.collector.take_samples(chain.samples);
     }
+    if let Some(display) = chain.identification.class_display(chain.last_ns) {
+        chain.collector.take_classes(&display);
+    }
     if let Estimator::Particles(particles) = chain.identification.estimator() {
         chain.collector.take_effective_share(particles.effective_share());
     }
     Ok(chain.collector)
-}
-
-/// Makes an empty collector with the names of a structure.
-///
-/// # Errors
-/// When the structure cannot be identified.
-pub fn collector(structure: &Structure) -> Result<Collector, AppError> {
-    Ok(collector_of(&Identification::new(structure, "identify")?))
-}
-
-fn collector_of(identification: &Identification) -> Collector {
-    let parameters = identification.parameter_names().map(ToString::to_string).collect();
-    let noise = identification.noise_names().iter().map(ToString::to_string).collect();
-    Collector::new(parameters, noise)
 }
 
 struct Chain {
@@ -91,6 +82,10 @@ struct Chain {
     frames: Vec<spandrel_bus::FrameBlock>,
     outputs: Vec<Output>,
     alerts: Vec<spandrel_alert::Alert>,
+    /// time of the first frame
+    start_ns: Option<i64>,
+    /// time of the last frame
+    last_ns: i64,
 }
 
 impl Chain {
@@ -103,6 +98,10 @@ impl Chain {
         self.alignment.handle(spandrel_ingest::Input::Samples { node, block }, &mut self.frames);
         for frames in self.frames.drain(..) {
             self.samples.take_frames(&self.channels, &frames);
+            self.start_ns.get_or_insert(frames.t0_ns);
+            if let (Some(grid), Some((last, _))) = (frames.grid(), frames.iter().last()) {
+                self.last_ns = grid.time_ns(last);
+            }
             self.identification.handle(Input::Frames(frames), &mut self.outputs);
         }
         for output in self.outputs.drain(..) {
@@ -112,8 +111,9 @@ impl Chain {
                     self.collector.take_estimates(&estimates);
                     take(&estimates)?;
                 }
-                Output::Event(event) => spandrel_identify::log_event(&event),
-                Output::Parameter(_) | Output::Noise(_) | Output::Outliers(_) | Output::Classes(_) => {} // for people who watch a bus
+                Output::Event(event) => spandrel_identify::log_event(&event, self.start_ns),
+                Output::Classes(display) => self.collector.take_classes(&display),
+                Output::Parameter(_) | Output::Noise(_) | Output::Outliers(_) => {} // for people who watch a bus
             }
         }
         for alert in self.alerts.drain(..) {
