@@ -1,19 +1,27 @@
 //! The core: frames of one structure in, estimates out, one filter step per frame.
 
+mod hearing;
+
 use crate::display::{Decimation, ParameterView, noise_display};
 use crate::error::IdentifyError;
 use crate::estimator::Estimator;
 use crate::model_classes::ClassView;
 use crate::screening::ScreeningView;
+use hearing::{Heard, Hearing, Spans};
 use spandrel_bus::{
     Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FrameBlock, Header, ModelClassDisplay, Name,
     NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, StreamState, TimeGrid,
 };
 use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, OutlierChange, Step};
-use spandrel_structure::Structure;
+use spandrel_structure::{Quantity, Structure};
 
 /// A gap up to this long (s) is bridged by predictions; over a longer one the motion is forgotten and the parameters stay.
 const BRIDGED_GAP_S: f64 = 10.0;
+
+/// An excitation that stays the same to the bit for longer than this (s), and for so many samples, comes of a sensor that is
+/// stuck: a converter that is too coarse for a quiet hour repeats itself for less.
+const STUCK_S: f64 = 2.0;
+const STUCK_SAMPLES: u64 = 50;
 
 /// Longest estimate block that one input makes: what comes of a long gap is cut.
 const LONGEST_BLOCK: usize = 4096;
@@ -76,48 +84,16 @@ pub struct Identification {
     /// of each component of the excitation
     hearing: Vec<Hearing>,
     excitation_names: Vec<String>,
+    /// the frame before as it came: what repeats to the bit is no measurement
+    last_values: Vec<f64>,
     /// frames since a parameter was last clipped, if it ever was
     since_clipped: Option<u64>,
 }
 
-/// Whether samples of an excitation that should be measured come.
-#[derive(Debug, Clone, Copy, Default)]
-struct Hearing {
-    /// one has ever come
-    known: bool,
-    /// frames without one on end, and frames with one on end
-    silent: u64,
-    heard: u64,
-    /// it has been silent for long, and was not yet heard for as long again
-    lost: bool,
-}
-
-/// A change of [`Hearing`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Heard {
-    Silent,
-    Again,
-}
-
-impl Hearing {
-    fn take(&mut self, heard: bool, long: u64) -> Option<Heard> {
-        self.known |= heard;
-        (self.silent, self.heard) = if heard { (0, self.heard + 1) } else { (self.silent + 1, 0) };
-        if !self.lost && self.silent >= long {
-            self.lost = true;
-            return Some(Heard::Silent);
-        }
-        if self.lost && self.heard >= long {
-            self.lost = false;
-            return Some(Heard::Again);
-        }
-        None
-    }
-
-    /// Before the first sample nobody knows how strong the excitation is; later the filter knows how strong it has been.
-    fn is_silent(&self) -> bool {
-        self.lost || (!self.known && self.silent > 0)
-    }
+/// A shaker at rest measures no force at all, a ground that stands still is measured with some noise.
+fn hearing_of(structure: &Structure, channel: Option<usize>) -> Hearing {
+    let measured = channel.and_then(|channel| structure.channels().nth(channel));
+    Hearing::new(measured.is_some_and(|channel| channel.quantity() == Quantity::Force))
 }
 
 /// Where the running epoch of frames stands.
@@ -133,6 +109,11 @@ impl Stream {
     /// Returns how many frames predictions may bridge.
     fn bridged_frames(self) -> u64 {
         (BRIDGED_GAP_S * self.sampling_rate_hz) as u64
+    }
+
+    /// Returns how often a sample must have repeated itself before its sensor counts as stuck.
+    fn stuck_frames(self) -> u64 {
+        ((STUCK_S * self.sampling_rate_hz) as u64).max(STUCK_SAMPLES)
     }
 }
 
@@ -209,7 +190,8 @@ impl Identification {
             stream: None,
             restarts: 0,
             unobserved: 0,
-            hearing: vec![Hearing::default(); structure.excitation_channels().len()],
+            hearing: structure.excitation_channels().iter().map(|channel| hearing_of(structure, *channel)).collect(),
+            last_values: vec![f64::NAN; channels],
             excitation_names: structure.excitations().iter().map(|excitation| excitation.name().to_owned()).collect(),
             since_clipped: None,
         })
@@ -327,7 +309,7 @@ impl Identification {
         for (value, channel) in self.excitation.iter_mut().zip(&self.excitation_channels) {
             *value = channel.map_or(0.0, |channel| self.frame[channel]);
         }
-        self.tell_silent_excitations(time_ns, outputs);
+        self.hear_excitations(time_ns, values, outputs);
         let frame = Frame { observations: &self.observations, excitation: &self.excitation };
         if self.stream.is_some_and(|stream| self.unobserved >= stream.bridged_frames()) {
             self.estimator.forget_motion(); // what was predicted so long is no longer known
@@ -432,23 +414,48 @@ impl Identification {
         }
     }
 
-    /// Tells when an excitation that should be measured has been silent for long, and when it is back.
-    fn tell_silent_excitations(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
-        let bridged = self.stream.map_or(u64::MAX, Stream::bridged_frames).max(1);
+    /// Tells when an excitation that should be measured has been silent for long, repeats itself, and is back.
+    ///
+    /// One that repeats itself counts as missing: `values` are those of the frame as it came.
+    fn hear_excitations(&mut self, time_ns: i64, values: &[f64], outputs: &mut Vec<Output>) {
+        let differs = |channel: &usize| {
+            let (now, before) = (values[*channel], self.last_values[*channel]);
+            !now.is_nan() && now.to_bits() != before.to_bits()
+        };
+        let moves = self.observation_channels.iter().any(differs);
+        for (last, value) in self.last_values.iter_mut().zip(values).filter(|(_, value)| !value.is_nan()) {
+            *last = *value;
+        }
+        let Some(stream) = self.stream else { return };
+        let spans = Spans { long: stream.bridged_frames().max(1), stuck: stream.stuck_frames() };
         for input in 0..self.excitation.len() {
-            match self.hearing[input].take(!self.excitation[input].is_nan(), bridged) {
-                Some(Heard::Silent) => {
-                    let what = format!("{} is to be measured and has no samples", self.excitation_names[input]);
-                    let why = "stiffness rests on a level of it that nobody knows: no alert is decided on";
-                    outputs.push(self.event(time_ns, EventKind::Unidentified, &what, why));
-                }
-                Some(Heard::Again) => {
-                    let what = format!("{} is measured again", self.excitation_names[input]);
-                    let why = "the estimates have had time to follow it: alerts are decided on";
-                    outputs.push(self.event(time_ns, EventKind::Calibration, &what, why));
-                }
-                None => {}
+            let value = self.excitation_channels[input].map(|channel| values[channel]);
+            let change = self.hearing[input].take(value, moves, spans);
+            if self.hearing[input].is_stuck(spans) {
+                self.excitation[input] = f64::NAN;
             }
+            let name = &self.excitation_names[input];
+            let (kind, what, why) = match change {
+                Some(Heard::Silent) => (
+                    EventKind::Unidentified,
+                    format!("{name} is to be measured and has no samples"),
+                    "stiffness rests on a level of it that nobody knows: no alert is decided on",
+                ),
+                Some(Heard::Stuck) => (
+                    EventKind::ChannelExcluded,
+                    format!(
+                        "the channel of {name} repeats one value while the structure moves: its samples are not used"
+                    ),
+                    "a sensor that is stuck measures nothing: no alert is decided on",
+                ),
+                Some(Heard::Again) => (
+                    EventKind::Calibration,
+                    format!("{name} is measured again"),
+                    "the estimates have had time to follow it: alerts are decided on",
+                ),
+                None => continue,
+            };
+            outputs.push(self.event(time_ns, kind, &what, why));
         }
     }
 
@@ -457,7 +464,8 @@ impl Identification {
         let Some(bridged) = self.stream.map(Stream::bridged_frames) else { return };
         let clips = step.limited_states > 0;
         if clips && self.since_clipped.is_none_or(|frames| frames > bridged) {
-            let at_bound = self.parameter_views.iter().enumerate().filter(|(index, _)| self.estimator.is_at_bound(*index));
+            let at_bound =
+                self.parameter_views.iter().enumerate().filter(|(index, _)| self.estimator.is_at_bound(*index));
             let names: Vec<&str> = at_bound.map(|(_, view)| view.name().as_str()).collect();
             outputs.push(self.event(
                 time_ns,

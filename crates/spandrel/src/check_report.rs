@@ -18,8 +18,8 @@
 //! - `findings`, the most serious first: `severity` (`warning` or `note`), `kind` with the data of that kind, `text`, and
 //!   `advice`, which is `null` where the text says it all
 
-use serde::Serialize;
 use crate::commands::counted;
+use serde::Serialize;
 use spandrel_structure::{
     CheckReport, Finding, ModeReport, NoiseSource, ParameterReport, Severity, Structure, TimeStepReport,
 };
@@ -145,6 +145,11 @@ impl CheckPage {
         }
         page
     }
+}
+
+/// Takes the sign off what three decimals show as zero.
+fn unsigned_zero(value: f64) -> f64 {
+    if value.abs() < 0.0005 { 0.0 } else { value }
 }
 
 /// A standard deviation, ratio to nominal.
@@ -298,7 +303,7 @@ impl CheckPage {
         for (index, line) in self.parameters.iter().enumerate() {
             write!(f, "  {:width$}", line.name)?;
             for mode in self.modes.iter().take(shown) {
-                write!(f, "  {:>8.3}", mode.sensitivity.get(index).copied().unwrap_or(0.0))?;
+                write!(f, "  {:>8.3}", unsigned_zero(mode.sensitivity.get(index).copied().unwrap_or(0.0)))?;
             }
             writeln!(f, "  {:>8.3}", line.dynamic_sensitivity)?;
         }

@@ -223,7 +223,8 @@ impl Collector {
             for (index, (name, mean)) in self.parameters.iter().zip(&last.mean).enumerate() {
                 parameters.push(name.clone(), level(*mean, last.variance(index).unwrap_or(0.0)));
             }
-            for (stated, (mean, variance)) in self.noise.iter().zip(last.noise_mean.iter().zip(&last.noise_covariance)) {
+            for (stated, (mean, variance)) in self.noise.iter().zip(last.noise_mean.iter().zip(&last.noise_covariance))
+            {
                 noise.push(stated.name.clone(), stated.found(level(*mean, *variance)));
             }
         }

@@ -60,9 +60,10 @@ impl ClassCollector {
     /// Returns the summary of a record that begins at `t0_ns`; `None` where nothing was said.
     pub(super) fn finish(self, t0_ns: i64) -> Option<ClassSummary> {
         let time_s = |time_ns: i64| time_ns.saturating_sub(t0_ns) as f64 / 1e9;
-        let calibrations = self.calibrations.into_iter().map(|ClassCalibration { time_ns, class, change }| {
-            Calibration { time_s: time_s(time_ns), class, change }
-        });
+        let calibrations = self
+            .calibrations
+            .into_iter()
+            .map(|ClassCalibration { time_ns, class, change }| Calibration { time_s: time_s(time_ns), class, change });
         self.last.map(|last| ClassSummary {
             leading: last.leading,
             classes: last.classes,

@@ -49,13 +49,7 @@ impl StatedLevel {
     /// Compares with what was found; `variance` as it was estimated (`unit`²).
     pub fn found(&self, variance: Level) -> NoiseLevelSummary {
         let found_std = variance.mean.max(0.0).sqrt();
-        NoiseLevelSummary {
-            variance,
-            found_std,
-            stated_std: self.std,
-            ratio: found_std / self.std,
-            unit: self.unit,
-        }
+        NoiseLevelSummary { variance, found_std, stated_std: self.std, ratio: found_std / self.std, unit: self.unit }
     }
 
     /// Says what a level that was found far above the stated one may mean.

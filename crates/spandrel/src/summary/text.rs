@@ -1,5 +1,7 @@
 //! The summary as people read it.
 
+use crate::commands::counted;
+
 use super::{ClassSummary, NoiseLevelSummary, Samples, Summary};
 use std::fmt::{self, Display, Write as _};
 
@@ -16,7 +18,7 @@ impl Summary {
     }
 
     fn write(&self, text: &mut String) -> fmt::Result {
-        writeln!(text, "{} {} identified", self.frames, if self.frames == 1 { "frame" } else { "frames" })?;
+        writeln!(text, "{} identified", counted(self.frames as usize, "frame", "frames"))?;
         if let Some(Samples { missing, discarded }) = &self.samples {
             for (what, counts) in [("missing samples", missing), ("discarded", discarded)] {
                 if !counts.is_empty() {
@@ -85,8 +87,10 @@ fn write_classes(summary: &ClassSummary, text: &mut String) -> fmt::Result {
     if calibrations.is_empty() {
         return Ok(());
     }
-    let calibrations =
-        calibrations.iter().rev().map(|by| format!("{} by {:+.1} % at {:.2} s", by.class, 100.0 * by.change, by.time_s));
+    let calibrations = calibrations
+        .iter()
+        .rev()
+        .map(|by| format!("{} by {:+.1} % at {:.2} s", by.class, 100.0 * by.change, by.time_s));
     writeln!(text, "  calibrations, the latest first: {}", listed(calibrations, "before"))
 }
 

@@ -122,8 +122,7 @@ fn read_shear_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
     let (masses, stiffnesses) = (masses?, stiffnesses?);
     let [floors, storeys] = [masses.get_ref().len(), stiffnesses.get_ref().len()];
     if floors == 0 || floors != storeys {
-        let found =
-            format!("has {} for {}", counted(storeys, "entry", "entries"), counted(floors, "mass", "masses"));
+        let found = format!("has {} for {}", counted(storeys, "entry", "entries"), counted(floors, "mass", "masses"));
         let key = section.key("stiffnesses-n-per-m");
         section.diagnostics().report(stiffnesses.span(), key, found, "must have one stiffness per mass");
         return None;

@@ -1,8 +1,8 @@
 //! Reads `[[excitation]]`.
 
+use super::check_unique;
 use super::matrices::beside;
 use super::node::{ChannelRead, degree_of_freedom};
-use super::check_unique;
 use crate::diagnostics::{counted, one_of};
 use crate::excitation::{Action, Excitation, Measured};
 use crate::linear_system::LinearSystem;

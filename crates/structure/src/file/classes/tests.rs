@@ -79,7 +79,12 @@ fn mistake_of_a_class_is_told_at_its_line() {
     );
     let (low, high) = (r#"["storey-1", "storey-2"]"#, r#"["storey-3", "storey-4", "storey-5"]"#);
     for (kind, classes, line, told) in [
-        ("self-calibrating", vec![("low", low), ("all", all)], 6, "lists all 5 stiffness parameters for \"all\", must leave"),
+        (
+            "self-calibrating",
+            vec![("low", low), ("all", all)],
+            6,
+            "lists all 5 stiffness parameters for \"all\", must leave",
+        ),
         (
             "self-calibrating",
             vec![("one", "[\"storey-1\"]"), ("high", high), ("four", four)],
@@ -110,7 +115,8 @@ fn mistake_of_a_class_is_told_at_its_line() {
 
 #[test]
 fn three_substructures_are_enough() {
-    let parts = [("low", r#"["storey-1", "storey-2"]"#), ("third", r#"["storey-3"]"#), ("top", r#"["storey-4", "storey-5"]"#)];
+    let parts =
+        [("low", r#"["storey-1", "storey-2"]"#), ("third", r#"["storey-3"]"#), ("top", r#"["storey-4", "storey-5"]"#)];
     let structure = read(&format!("{DEMO}\n{}", table("hierarchical", &parts))).unwrap();
     assert_eq!(structure.class_bank().unwrap().unwrap().classes().len(), 4);
 }
@@ -126,7 +132,11 @@ fn floor_of_zero_is_the_rule_of_the_source() {
 #[test]
 fn numbers_beyond_memory_or_use_are_refused() {
     for (kind, key, told) in [
-        ("self-calibrating", "persistence-s = 1e300", "is 1e300, must be from 0.01 to 100000, which is 1 to 10000000 samples"),
+        (
+            "self-calibrating",
+            "persistence-s = 1e300",
+            "is 1e300, must be from 0.01 to 100000, which is 1 to 10000000 samples",
+        ),
         ("self-calibrating", "persistence-s = 0.001", "is 0.001, 0 samples at 100 Hz"),
         ("self-calibrating", "reset-std = 1e200", "is 1e200, must be a finite number from 1e-9 and up to 1e6"),
         ("predefined", "reset-std = 0.2", "classes.reset-std: is given, must not be given for kind \"predefined\""),
