@@ -253,7 +253,7 @@ fn ground_channel_that_is_stuck_is_told_within_seconds_and_nothing_is_decided_on
     let outputs = identified(&structure, block);
     let told: Vec<_> = events(&outputs).into_iter().filter(|e| e.kind == EventKind::ChannelExcluded).collect();
     assert_eq!(told.len(), 1, "{told:?}");
-    assert!(told[0].what.contains("ground") && told[0].time_ns == 22_000_000_000, "{told:?}");
+    assert!(told[0].subject == "ground" && told[0].time_ns == 22_000_000_000, "{told:?}");
     let estimates = estimates(&outputs);
     let phases: Vec<Phase> = estimates.iter().map(|estimate| estimate.flags.phase).collect();
     let turns: Vec<usize> = (1..phases.len()).filter(|at| phases[*at] != phases[at - 1]).collect();

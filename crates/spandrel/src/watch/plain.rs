@@ -135,7 +135,7 @@ mod tests {
         tower.handle(Input::Classes(classes("storey-2", 0.982, 3)), &mut Vec::new());
         let told = line(&tower);
         assert!(
-            told.contains("; class storey-2 leads with 0.982, baseline before it, 3 calibrations; ingest/a"),
+            told.contains("; class storey-2 leads with 98.2 %, baseline before it, 3 calibrations; ingest/a"),
             "{told}"
         );
     }
