@@ -199,11 +199,17 @@ impl Estimator {
         }
     }
 
-    /// Returns the bounds of a parameter (ratios to nominal).
+    /// Tells whether the last step kept a parameter at one of its bounds.
     #[must_use]
-    pub fn bounds(&self, parameter: usize) -> (f64, f64) {
-        let (settings, entry) = (self.settings(), self.first() + parameter);
-        (settings.lower[entry], settings.upper[entry])
+    pub fn is_at_bound(&self, parameter: usize) -> bool {
+        match self {
+            Self::Filter(_) | Self::Particles(_) => {
+                let (settings, entry) = (self.settings(), self.first() + parameter);
+                let mean = self.parameter_mean()[parameter];
+                mean <= settings.lower[entry] || mean >= settings.upper[entry]
+            }
+            Self::Classes(bank) => bank.limited_parameters().contains(&parameter),
+        }
     }
 
     /// Returns what is known of the noise parameters.

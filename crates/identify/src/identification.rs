@@ -1,19 +1,28 @@
 //! The core: frames of one structure in, estimates out, one filter step per frame.
 
+mod events;
+mod hearing;
+
 use crate::display::{Decimation, ParameterView, noise_display};
 use crate::error::IdentifyError;
 use crate::estimator::Estimator;
 use crate::model_classes::ClassView;
 use crate::screening::ScreeningView;
+use hearing::Hearing;
 use spandrel_bus::{
     Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FrameBlock, Header, ModelClassDisplay, Name,
     NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, StreamState, TimeGrid,
 };
-use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, OutlierChange, Step};
-use spandrel_structure::Structure;
+use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, Step};
+use spandrel_structure::{Quantity, Structure};
 
 /// A gap up to this long (s) is bridged by predictions; over a longer one the motion is forgotten and the parameters stay.
 const BRIDGED_GAP_S: f64 = 10.0;
+
+/// An excitation that stays the same to the bit for longer than this (s), and for so many samples, comes of a sensor that is
+/// stuck: a converter that is too coarse for a quiet hour repeats itself for less.
+const STUCK_S: f64 = 2.0;
+const STUCK_SAMPLES: u64 = 50;
 
 /// Longest estimate block that one input makes: what comes of a long gap is cut.
 const LONGEST_BLOCK: usize = 4096;
@@ -75,49 +84,18 @@ pub struct Identification {
     unobserved: u64,
     /// of each component of the excitation
     hearing: Vec<Hearing>,
-    excitation_names: Vec<String>,
+    /// with the channel that should measure it, where there is one
+    excitation_names: Vec<(String, Option<String>)>,
+    /// the frame before as it came: what repeats to the bit is no measurement
+    last_values: Vec<f64>,
     /// frames since a parameter was last clipped, if it ever was
     since_clipped: Option<u64>,
 }
 
-/// Whether samples of an excitation that should be measured come.
-#[derive(Debug, Clone, Copy, Default)]
-struct Hearing {
-    /// one has ever come
-    known: bool,
-    /// frames without one on end, and frames with one on end
-    silent: u64,
-    heard: u64,
-    /// it has been silent for long, and was not yet heard for as long again
-    lost: bool,
-}
-
-/// A change of [`Hearing`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Heard {
-    Silent,
-    Again,
-}
-
-impl Hearing {
-    fn take(&mut self, heard: bool, long: u64) -> Option<Heard> {
-        self.known |= heard;
-        (self.silent, self.heard) = if heard { (0, self.heard + 1) } else { (self.silent + 1, 0) };
-        if !self.lost && self.silent >= long {
-            self.lost = true;
-            return Some(Heard::Silent);
-        }
-        if self.lost && self.heard >= long {
-            self.lost = false;
-            return Some(Heard::Again);
-        }
-        None
-    }
-
-    /// Before the first sample nobody knows how strong the excitation is; later the filter knows how strong it has been.
-    fn is_silent(&self) -> bool {
-        self.lost || (!self.known && self.silent > 0)
-    }
+/// A shaker at rest measures no force at all, a ground that stands still is measured with some noise.
+fn hearing_of(structure: &Structure, channel: Option<usize>) -> Hearing {
+    let measured = channel.and_then(|channel| structure.channels().nth(channel));
+    Hearing::new(measured.is_some_and(|channel| channel.quantity() == Quantity::Force))
 }
 
 /// Where the running epoch of frames stands.
@@ -133,6 +111,11 @@ impl Stream {
     /// Returns how many frames predictions may bridge.
     fn bridged_frames(self) -> u64 {
         (BRIDGED_GAP_S * self.sampling_rate_hz) as u64
+    }
+
+    /// Returns how often a sample must have repeated itself before its sensor counts as stuck.
+    fn stuck_frames(self) -> u64 {
+        ((STUCK_S * self.sampling_rate_hz) as u64).max(STUCK_SAMPLES)
     }
 }
 
@@ -209,8 +192,17 @@ impl Identification {
             stream: None,
             restarts: 0,
             unobserved: 0,
-            hearing: vec![Hearing::default(); structure.excitation_channels().len()],
-            excitation_names: structure.excitations().iter().map(|excitation| excitation.name().to_owned()).collect(),
+            hearing: structure.excitation_channels().iter().map(|channel| hearing_of(structure, *channel)).collect(),
+            last_values: vec![f64::NAN; channels],
+            excitation_names: structure
+                .excitations()
+                .iter()
+                .zip(structure.excitation_channels())
+                .map(|(excitation, channel)| {
+                    let channel = channel.and_then(|channel| structure.channels().nth(channel));
+                    (excitation.name().to_owned(), channel.map(|channel| channel.name().to_owned()))
+                })
+                .collect(),
             since_clipped: None,
         })
     }
@@ -239,6 +231,13 @@ impl Identification {
     #[must_use]
     pub fn estimator(&self) -> &Estimator {
         &self.estimator
+    }
+
+    /// Returns what is to be said of the model classes at a time of measurement; `None` where there is one model.
+    #[must_use]
+    pub fn class_display(&self, time_ns: i64) -> Option<ModelClassDisplay> {
+        let (bank, view) = (self.estimator.classes()?, self.classes.as_ref()?);
+        Some(view.display(&self.structure, time_ns, bank))
     }
 
     /// Tells whether several model classes are compared.
@@ -320,7 +319,7 @@ impl Identification {
         for (value, channel) in self.excitation.iter_mut().zip(&self.excitation_channels) {
             *value = channel.map_or(0.0, |channel| self.frame[channel]);
         }
-        self.tell_silent_excitations(time_ns, outputs);
+        self.hear_excitations(time_ns, values, outputs);
         let frame = Frame { observations: &self.observations, excitation: &self.excitation };
         if self.stream.is_some_and(|stream| self.unobserved >= stream.bridged_frames()) {
             self.estimator.forget_motion(); // what was predicted so long is no longer known
@@ -408,107 +407,6 @@ impl Identification {
         }
     }
 
-    fn tell_noise_events(&self, time_ns: i64, step: &Step, outputs: &mut Vec<Output>) {
-        if step.training_ended {
-            let why = "their relative deviations are below 10 % and the innovations agree with them";
-            outputs.push(self.event(time_ns, EventKind::Calibration, "noise levels trained", why));
-        }
-        if step.training_overdue {
-            let name = self.most_uncertain_level();
-            let why = format!("the level of {name} is hardly informed by these sensors; see spandrel check");
-            let what = "noise levels still in training: no alert is decided on";
-            outputs.push(self.event(time_ns, EventKind::Unidentified, what, &why));
-        }
-        if step.training_restarted {
-            let why = "the innovations kept disagreeing with their covariance";
-            outputs.push(self.event(time_ns, EventKind::Calibration, "noise levels back in training", why));
-        }
-    }
-
-    /// Tells when an excitation that should be measured has been silent for long, and when it is back.
-    fn tell_silent_excitations(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
-        let bridged = self.stream.map_or(u64::MAX, Stream::bridged_frames).max(1);
-        for input in 0..self.excitation.len() {
-            match self.hearing[input].take(!self.excitation[input].is_nan(), bridged) {
-                Some(Heard::Silent) => {
-                    let what = format!("{} is to be measured and has no samples", self.excitation_names[input]);
-                    let why = "stiffness rests on a level of it that nobody knows: no alert is decided on";
-                    outputs.push(self.event(time_ns, EventKind::Unidentified, &what, why));
-                }
-                Some(Heard::Again) => {
-                    let what = format!("{} is measured again", self.excitation_names[input]);
-                    let why = "the estimates have had time to follow it: alerts are decided on";
-                    outputs.push(self.event(time_ns, EventKind::Calibration, &what, why));
-                }
-                None => {}
-            }
-        }
-    }
-
-    /// Tells when parameters reach their bounds, once until they have kept off them for as long as a gap may be.
-    fn tell_clipping(&mut self, time_ns: i64, step: &Step, outputs: &mut Vec<Output>) {
-        let Some(bridged) = self.stream.map(Stream::bridged_frames) else { return };
-        let clips = step.limited_states > 0;
-        if clips && self.since_clipped.is_none_or(|frames| frames > bridged) {
-            let mean = self.estimator.parameter_mean();
-            let at_bound = |(index, view): (usize, &ParameterView)| {
-                let (low, high) = self.estimator.bounds(index);
-                (mean[index] <= low || mean[index] >= high).then(|| view.name().to_string())
-            };
-            let names: Vec<String> = self.parameter_views.iter().enumerate().filter_map(at_bound).collect();
-            outputs.push(self.event(
-                time_ns,
-                EventKind::Unidentified,
-                "parameters kept at their bounds",
-                &format!("the estimate left its bounds: {}", names.join(", ")),
-            ));
-        }
-        self.since_clipped = if clips { Some(0) } else { self.since_clipped.map(|frames| frames + 1) };
-    }
-
-    /// Tells what changed for a channel, as an event and on its topic.
-    fn tell_outliers(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
-        let Some(outliers) = self.estimator.outliers() else { return };
-        for (view, screen) in self.screening.iter_mut().zip(outliers.channels()) {
-            let Some((change, why)) = view.take(time_ns, screen) else { continue };
-            let (kind, what) = match change {
-                OutlierChange::FaultBegan => {
-                    (EventKind::ChannelExcluded, "the sensor is faulty: its samples are not used")
-                }
-                OutlierChange::FaultEnded => (EventKind::ChannelBack, "the sensor is used again"),
-                OutlierChange::Rescaled | OutlierChange::Trained => {
-                    (EventKind::Calibration, "the scale of its residuals was estimated anew")
-                }
-            };
-            outputs.push(Output::Event(Event {
-                structure: self.structure.clone(),
-                time_ns,
-                kind,
-                subject: view.channel().to_string(),
-                what: what.to_owned(),
-                why,
-            }));
-            outputs.push(Output::Outliers(view.display(&self.structure, time_ns, screen)));
-        }
-    }
-
-    /// Tells what happened to the model classes, as events and on their topic.
-    fn tell_classes(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
-        let (Some(bank), Some(view)) = (self.estimator.classes(), &mut self.classes) else { return };
-        let told = view.take(time_ns, bank);
-        if !told.is_empty() {
-            outputs.push(Output::Classes(view.display(&self.structure, time_ns, bank)));
-        }
-        outputs.extend(told.into_iter().map(|told| self.event(time_ns, told.kind, &told.what, &told.why)));
-    }
-
-    fn most_uncertain_level(&self) -> &str {
-        let noise = self.estimator.noise();
-        let relative = |l: usize| noise.covariance[(l, l)] / (noise.mean[l] * noise.mean[l]);
-        let most = (0..self.noise_names.len()).max_by(|a, b| relative(*a).total_cmp(&relative(*b)));
-        most.map_or("a sensor", |l| self.noise_names[l].as_str())
-    }
-
     fn estimate(&self, step: Option<Step>, restarted: bool) -> Estimate {
         let parameters = self.parameter_views.len();
         let noise = self.estimator.noise();
@@ -568,25 +466,12 @@ impl Identification {
             let (mean, variance) = (noise.mean[l], noise.covariance[(l, l)]);
             outputs.push(Output::Noise(noise_display(&self.structure, name, time_ns, mean, variance)));
         }
-        if let (Some(bank), Some(view)) = (self.estimator.classes(), &self.classes) {
-            outputs.push(Output::Classes(view.display(&self.structure, time_ns, bank)));
-        }
+        outputs.extend(self.class_display(time_ns).map(Output::Classes));
         if let Some(outliers) = self.estimator.outliers() {
             for (view, screen) in self.screening.iter_mut().zip(outliers.channels()) {
                 outputs.push(Output::Outliers(view.display(&self.structure, time_ns, screen)));
             }
         }
-    }
-
-    fn event(&self, time_ns: i64, kind: EventKind, what: &str, why: &str) -> Output {
-        Output::Event(Event {
-            structure: self.structure.clone(),
-            time_ns,
-            kind,
-            subject: "identify".to_owned(),
-            what: what.to_owned(),
-            why: why.to_owned(),
-        })
     }
 }
 

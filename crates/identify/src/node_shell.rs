@@ -145,7 +145,7 @@ impl NodeService {
             match output {
                 NodeOutput::Local(message) => self.local.put(&message).await?,
                 NodeOutput::Event(event) => {
-                    log_event(&event);
+                    log_event(&event, None);
                     self.events.put(&event).await?;
                 }
             }

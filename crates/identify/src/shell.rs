@@ -217,7 +217,7 @@ impl IdentifyService {
                 }
             }
             Output::Event(event) => {
-                log_event(&event);
+                log_event(&event, None);
                 self.events.put(&event).await?;
             }
         }
@@ -256,18 +256,22 @@ async fn show<M: Message>(publisher: &DisplayPublisher<M>, message: &M) -> Resul
 }
 
 /// Logs an event: what was mended or lost as a warning, what belongs to normal work as information.
-pub fn log_event(event: &Event) {
-    let structure = event.structure.as_str();
+///
+/// Its time of measurement is logged in ns since 1970 as on the bus, or in seconds since `start_ns` where a record has one.
+pub fn log_event(event: &Event, start_ns: Option<i64>) {
+    let (structure, subject) = (event.structure.as_str(), event.subject.as_str());
+    let time_s = start_ns.map(|start_ns| event.time_ns.saturating_sub(start_ns) as f64 / 1e9);
+    let time_ns = start_ns.is_none().then_some(event.time_ns);
     match event.kind {
         EventKind::Calibration | EventKind::LeadingClass | EventKind::NodeBack | EventKind::ChannelBack => {
-            info!(structure, what = event.what, why = event.why, "event");
+            info!(structure, subject, time_s, time_ns, what = event.what, why = event.why, "event");
         }
         EventKind::Restart
         | EventKind::Unidentified
         | EventKind::NodeExcluded
         | EventKind::ChannelExcluded
         | EventKind::Gap => {
-            warn!(structure, what = event.what, why = event.why, "event");
+            warn!(structure, subject, time_s, time_ns, what = event.what, why = event.why, "event");
         }
     }
 }

@@ -111,6 +111,15 @@ impl ChannelColumn {
         }
         self.si_from_unit * (self.scale * number + self.offset)
     }
+
+    /// Takes a value in SI to the number that a file holds for it.
+    pub(crate) fn number_from_si(&self, value: f64) -> f64 {
+        let is_si = self.si_from_unit == 1.0 && self.scale == 1.0 && self.offset == 0.0;
+        if is_si {
+            return value; // to the same bits
+        }
+        (value / self.si_from_unit - self.offset) / self.scale
+    }
 }
 
 #[cfg(test)]
@@ -125,6 +134,13 @@ mod tests {
             .and_then(|roof| roof.with_calibration(0.5, -0.1))
             .unwrap();
         assert!((roof.si_from_number(2.0) - 8.825_985).abs() < 1e-12);
+    }
+
+    #[test]
+    fn number_of_a_value_reads_back_as_that_value() {
+        let roof = ChannelColumn::new("roof").with_unit("g", Quantity::Acceleration).unwrap();
+        let roof = roof.with_calibration(-0.5, 0.1).unwrap();
+        assert!((roof.si_from_number(roof.number_from_si(3.7)) - 3.7).abs() < 1e-12);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::{RecordError, record_time::write_seconds};
+use crate::{ColumnMapping, RecordError, column_mapping::ChannelColumn, record_time::write_seconds};
 
 /// Writes a CSV record row by row: first column `time` in s, then the given columns in SI units.
 ///
@@ -14,7 +14,7 @@ use crate::{RecordError, record_time::write_seconds};
 pub struct CsvWriter {
     path: PathBuf,
     csv: csv::Writer<File>,
-    columns: Vec<String>,
+    columns: Vec<ChannelColumn>,
     line: u64,
     text: String,
 }
@@ -25,15 +25,23 @@ impl CsvWriter {
     /// # Errors
     /// The file cannot be created or written.
     pub fn create<S: AsRef<str>>(path: &Path, columns: &[S]) -> Result<Self, RecordError> {
+        Self::create_mapped(path, &ColumnMapping::by_name(columns.iter().map(AsRef::as_ref)))
+    }
+
+    /// As [`CsvWriter::create`], with the columns, units and time column that `mapping` reads.
+    ///
+    /// # Errors
+    /// The file cannot be created or written.
+    pub fn create_mapped(path: &Path, mapping: &ColumnMapping) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(|source| RecordError::Open { path: path.to_owned(), source })?;
         let mut writer = Self {
             path: path.to_owned(),
             csv: csv::WriterBuilder::new().buffer_capacity(WRITE_BUFFER_BYTES).from_writer(file),
-            columns: columns.iter().map(|column| column.as_ref().to_owned()).collect(),
+            columns: mapping.channels().to_vec(),
             line: 1,
             text: String::new(),
         };
-        let header = std::iter::once("time").chain(writer.columns.iter().map(String::as_str));
+        let header = std::iter::once(mapping.time_column()).chain(writer.columns.iter().map(ChannelColumn::column));
         writer.csv.write_record(header).map_err(|source| writer.error(source))?;
         Ok(writer)
     }
@@ -56,15 +64,16 @@ impl CsvWriter {
             return Err(RecordError::NotFinite {
                 path: self.path.clone(),
                 line: self.line,
-                column: column.clone(),
+                column: column.column().to_owned(),
                 found: *found,
             });
         }
         self.text.clear();
         write_seconds(time_ns, &mut self.text);
         self.write_field()?;
-        for value in values {
+        for (column, value) in values.iter().enumerate() {
             self.text.clear();
+            let value = self.columns[column].number_from_si(*value);
             if !value.is_nan() {
                 // The debug form: shortest digits that read back as the same bits, with an exponent where it is shorter.
                 let _ = write!(self.text, "{value:?}"); // writing to a String does not fail

@@ -43,11 +43,19 @@ impl Recording {
     /// # Errors
     /// The format is unknown, the file does not fit the mapping, or one of its first rows is wrong.
     pub fn open(path: &Path, mapping: &ColumnMapping, offset: OffsetRemoval) -> Result<Self, RecordError> {
-        let is_csv = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv"));
-        if !is_csv {
-            return Err(RecordError::UnknownFormat { path: path.to_owned(), allowed: FORMATS });
-        }
+        Self::check_format(path)?;
         Self::new(Box::new(CsvReader::open(path, mapping)?), offset)
+    }
+
+    /// Checks that the end of a file name tells a known format.
+    ///
+    /// # Errors
+    /// It does not.
+    pub fn check_format(path: &Path) -> Result<(), RecordError> {
+        match path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv")) {
+            true => Ok(()),
+            false => Err(RecordError::UnknownFormat { path: path.to_owned(), allowed: FORMATS }),
+        }
     }
 
     /// Looks ahead into any reader.

@@ -18,6 +18,7 @@
 //! - `findings`, the most serious first: `severity` (`warning` or `note`), `kind` with the data of that kind, `text`, and
 //!   `advice`, which is `null` where the text says it all
 
+use crate::commands::counted;
 use serde::Serialize;
 use spandrel_structure::{
     CheckReport, Finding, ModeReport, NoiseSource, ParameterReport, Severity, Structure, TimeStepReport,
@@ -134,7 +135,7 @@ impl CheckPage {
                 NoiseLevelLine {
                     name: report.name,
                     std: level.std(),
-                    unit: unit(structure, level.source()),
+                    unit: structure.noise_unit(level),
                     adapted: report.adapted,
                     relative_std_after: report.relative_std_after,
                     haste: report.haste,
@@ -146,22 +147,14 @@ impl CheckPage {
     }
 }
 
+/// Takes the sign off what three decimals show as zero.
+fn unsigned_zero(value: f64) -> f64 {
+    if value.abs() < 0.0005 { 0.0 } else { value }
+}
+
 /// A standard deviation, ratio to nominal.
 fn deviation(value: f64) -> String {
     if value < SMALL { format!("{value:.1e}") } else { format!("{value:.4}") }
-}
-
-/// The unit in which the level of a source is stated.
-fn unit(structure: &Structure, source: &NoiseSource) -> &'static str {
-    match source {
-        NoiseSource::Excitation(component) => structure.excitations().get(*component).map_or("", |e| e.unit()),
-        NoiseSource::Sensors(rows) => {
-            let channel = rows.first().and_then(|row| structure.observation_channels().get(*row));
-            channel
-                .and_then(|channel| structure.channels().nth(*channel))
-                .map_or("", |channel| channel.quantity().unit())
-        }
-    }
 }
 
 /// What the findings mean for one parameter, the worst of them.
@@ -230,7 +223,10 @@ impl fmt::Display for CheckPage {
         writeln!(f, "{structure}{separator}{description}")?;
         writeln!(
             f,
-            "{degrees_of_freedom} degrees of freedom, {channels} channels on {nodes} nodes, {sampling_rate_hz} Hz"
+            "{}, {} on {}, {sampling_rate_hz} Hz",
+            counted(*degrees_of_freedom, "degree of freedom", "degrees of freedom"),
+            counted(*channels, "channel", "channels"),
+            counted(*nodes, "node", "nodes")
         )?;
         self.write_modes(f)?;
         self.write_parameters(f)?;
@@ -307,7 +303,7 @@ impl CheckPage {
         for (index, line) in self.parameters.iter().enumerate() {
             write!(f, "  {:width$}", line.name)?;
             for mode in self.modes.iter().take(shown) {
-                write!(f, "  {:>8.3}", mode.sensitivity.get(index).copied().unwrap_or(0.0))?;
+                write!(f, "  {:>8.3}", unsigned_zero(mode.sensitivity.get(index).copied().unwrap_or(0.0)))?;
             }
             writeln!(f, "  {:>8.3}", line.dynamic_sensitivity)?;
         }

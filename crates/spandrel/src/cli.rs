@@ -1,6 +1,8 @@
 //! The command line.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use spandrel_filter::ImportanceDensity;
+use spandrel_identify::ParticlePlan;
 use std::path::PathBuf;
 
 /// Watches over bridges and buildings in real time.
@@ -158,7 +160,7 @@ pub struct DemoArguments {
     #[arg(long, default_value = "10")]
     pub speed: Speed,
     /// Length of the simulated record (s).
-    #[arg(long, default_value_t = 120.0, value_name = "SECONDS", value_parser = seconds)]
+    #[arg(long, default_value_t = 120.0, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub duration: f64,
     /// Seed of excitation and noise.
     #[arg(long, default_value_t = 1)]
@@ -184,17 +186,17 @@ pub struct SimulateArguments {
     /// Structure file.
     #[arg(value_name = "STRUCTURE.toml")]
     pub structure: PathBuf,
-    /// Write the record to this file instead of sending it to the bus.
+    /// Write the record to this file instead of sending it to the bus: columns and units as its record table has them.
     #[arg(long, value_name = "OUT.csv")]
     pub record: Option<PathBuf>,
     /// Length (s); without it a simulation on the bus goes on until it is stopped, and one to a file takes 120 s.
-    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub duration: Option<f64>,
     /// Seed of excitation and noise [default: that of the structure file].
     #[arg(long)]
     pub seed: Option<u64>,
-    /// Times real time, or max.
-    #[arg(long, default_value = "1")]
+    /// Times real time, or max; on the bus only.
+    #[arg(long, default_value = "1", conflicts_with = "record")]
     pub speed: Speed,
     #[command(flatten)]
     pub bus: BusArguments,
@@ -231,11 +233,11 @@ pub struct EstimateArguments {
     /// What identifies: the filter of the services, or particles, which are slow and take nothing for Gaussian.
     #[arg(long, value_enum, default_value_t = FilterChoice::Kalman)]
     pub filter: FilterChoice,
-    #[command(flatten)]
-    pub particle: ParticleArguments,
     /// End with one JSON object.
     #[arg(long)]
     pub json: bool,
+    #[command(flatten)]
+    pub particle: ParticleArguments,
 }
 
 /// The filters of `spandrel estimate`.
@@ -256,28 +258,62 @@ pub enum DensityChoice {
     Prior,
 }
 
-/// How particles are used.
+/// How particles are used; what is not given has the default of [`ParticleArguments::plan`].
 #[derive(Debug, Clone, Copy, Args)]
 #[command(next_help_heading = "With --filter particle")]
 pub struct ParticleArguments {
-    /// Number of particles.
-    #[arg(long, default_value_t = 2000, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=10_000_000))]
-    pub particles: u32,
-    /// Where particles are drawn from.
-    #[arg(long, value_enum, default_value_t = DensityChoice::Optimal)]
-    pub density: DensityChoice,
-    /// Standard deviation by which each parameter may drift within a second, ratio to nominal per root of a second.
-    #[arg(long, default_value_t = 0.005, value_name = "RATIO", value_parser = not_negative)]
-    pub drift: f64,
-    /// Share of a particle's own state at a resampling, the rest being drawn from all of them; 1 for none.
-    #[arg(long, default_value_t = 1.0, value_name = "SHARE", value_parser = share)]
-    pub kernel: f64,
-    /// Seconds for which a Kalman filter runs before the particles are drawn.
-    #[arg(long, default_value_t = 2.0, value_name = "SECONDS", value_parser = not_negative)]
-    pub warm_up: f64,
-    /// Seed of all draws.
-    #[arg(long, default_value_t = 0)]
-    pub seed: u64,
+    /// Number of particles [default: 2000].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=10_000_000), allow_negative_numbers = true)]
+    pub particles: Option<u32>,
+    /// Where particles are drawn from [default: optimal].
+    #[arg(long, value_enum)]
+    pub density: Option<DensityChoice>,
+    /// Standard deviation by which each parameter may drift within a second, ratio to nominal per root of a second
+    /// [default: 0.005].
+    #[arg(long, value_name = "RATIO", value_parser = not_negative, allow_negative_numbers = true)]
+    pub drift: Option<f64>,
+    /// Share of a particle's own state at a resampling, the rest being drawn from all of them; 1 for none [default: 1].
+    #[arg(long, value_name = "SHARE", value_parser = share, allow_negative_numbers = true)]
+    pub kernel: Option<f64>,
+    /// Seconds for which a Kalman filter runs before the particles are drawn [default: 2].
+    #[arg(long, value_name = "SECONDS", value_parser = not_negative, allow_negative_numbers = true)]
+    pub warm_up: Option<f64>,
+    /// Seed of all draws [default: 0].
+    #[arg(long)]
+    pub seed: Option<u64>,
+}
+
+impl ParticleArguments {
+    /// Returns the first option that was given, which is of no use without particles.
+    pub fn given(&self) -> Option<&'static str> {
+        let Self { particles, density, drift, kernel, warm_up, seed } = self;
+        let given = [
+            (particles.is_some(), "--particles"),
+            (density.is_some(), "--density"),
+            (drift.is_some(), "--drift"),
+            (kernel.is_some(), "--kernel"),
+            (warm_up.is_some(), "--warm-up"),
+            (seed.is_some(), "--seed"),
+        ];
+        given.into_iter().find_map(|(is_given, option)| is_given.then_some(option))
+    }
+
+    /// Returns how the particles are used.
+    pub fn plan(&self) -> ParticlePlan {
+        let threads = std::thread::available_parallelism().map_or(1, std::num::NonZeroUsize::get);
+        let mut plan = ParticlePlan::default();
+        plan.settings.threads = threads;
+        plan.settings.seed = self.seed.unwrap_or(0);
+        plan.settings.particles = self.particles.map_or(plan.settings.particles, |particles| particles as usize);
+        plan.settings.density = match self.density {
+            Some(DensityChoice::Optimal) | None => ImportanceDensity::Optimal,
+            Some(DensityChoice::Prior) => ImportanceDensity::Prior,
+        };
+        plan.settings.kernel = self.kernel.unwrap_or(1.0);
+        plan.drift_per_root_s = self.drift.unwrap_or(plan.drift_per_root_s);
+        plan.warm_up_s = self.warm_up.unwrap_or(plan.warm_up_s);
+        plan
+    }
 }
 
 #[derive(Debug, Args)]
@@ -289,7 +325,7 @@ pub struct BaselineArguments {
     #[arg(long, required = true)]
     pub record: Vec<PathBuf>,
     /// Seconds at the start of each recording that are left out while the filter finds its way.
-    #[arg(long, default_value_t = 10.0, value_name = "SECONDS", value_parser = seconds)]
+    #[arg(long, default_value_t = 10.0, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub skip: f64,
     /// Where to write the sound values.
     #[arg(long, value_name = "BASELINE.json")]
@@ -302,7 +338,7 @@ pub struct CheckArguments {
     #[arg(value_name = "STRUCTURE.toml")]
     pub structure: PathBuf,
     /// Length of data (s) for which the standard deviations are given.
-    #[arg(long, default_value_t = 60.0, value_name = "SECONDS", value_parser = seconds)]
+    #[arg(long, default_value_t = 60.0, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub after: f64,
     /// One JSON object instead of text.
     #[arg(long)]
@@ -379,6 +415,34 @@ mod tests {
             let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
             assert!(help.contains("Example"), "{} has no example", command.get_name());
         }
+    }
+
+    #[test]
+    fn numbers_below_their_range_are_refused_with_it() {
+        for (option, told) in [("--drift=-1", "must be a number, 0 or more"), ("--warm-up", "0 or more")] {
+            let mut words = vec!["spandrel", "estimate", "a.toml", "--record", "a.csv", option];
+            if !option.contains('=') {
+                words.push("-3");
+            }
+            let error = Arguments::try_parse_from(words).unwrap_err().to_string();
+            assert!(error.contains(told), "{error}");
+        }
+        let words = ["spandrel", "simulate", "a.toml", "--record", "a.csv", "--speed", "2"];
+        let error = Arguments::try_parse_from(words).unwrap_err().to_string();
+        assert!(error.contains("cannot be used with"), "{error}");
+    }
+
+    #[test]
+    fn defaults_of_particles_are_those_that_help_tells() {
+        let Command::Estimate(arguments) =
+            Arguments::try_parse_from(["spandrel", "estimate", "a.toml", "--record", "a.csv"]).unwrap().command
+        else {
+            panic!("another command")
+        };
+        let plan = arguments.particle.plan();
+        assert_eq!((plan.settings.particles, plan.settings.seed, plan.settings.kernel), (2000, 0, 1.0));
+        assert_eq!((plan.drift_per_root_s, plan.warm_up_s), (0.005, 2.0));
+        assert_eq!(arguments.particle.given(), None);
     }
 
     #[test]

@@ -57,6 +57,11 @@ pub fn refuse_overwriting<'p>(output: &Path, inputs: impl IntoIterator<Item = &'
     }
 }
 
+/// Writes a number of things, in the singular where it is one.
+pub fn counted(count: usize, one: &str, many: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { many })
+}
+
 /// Writes a result to standard output; a reader that has gone away (`| head`) is no error.
 pub fn print(text: &str) -> Result<(), AppError> {
     match std::io::stdout().lock().write_all(text.as_bytes()) {

@@ -131,6 +131,22 @@ pub enum AppError {
         /// The file.
         path: PathBuf,
     },
+    /// An option of particles was given to another filter.
+    #[error("{option} is of use only with --filter particle")]
+    ParticlesOnly {
+        /// The option.
+        option: &'static str,
+    },
+    /// No particle was ever drawn.
+    #[error(
+        "--warm-up is {warm_up_s} s and the record has {record_s} s: no particle was drawn, it must be shorter than the record"
+    )]
+    WarmUpTooLong {
+        /// Seconds for which a Kalman filter was to run.
+        warm_up_s: f64,
+        /// Length of the record (s).
+        record_s: f64,
+    },
     /// A recording has no frame from which a baseline could be learnt.
     #[error("{}: has no frame after the first {skip_s} s, nothing can be learnt from it", path.display())]
     NothingLearnt {
@@ -154,6 +170,8 @@ impl AppError {
             | Self::BaselineOfNone { .. }
             | Self::NothingLearnt { .. }
             | Self::WouldOverwrite { .. }
+            | Self::ParticlesOnly { .. }
+            | Self::WarmUpTooLong { .. }
             | Self::Name(_)
             | Self::Validate(ValidateError::UnknownCase { .. } | ValidateError::File { .. })
             | Self::Sensor(SensorError::Record(_))

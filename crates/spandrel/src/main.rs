@@ -3,6 +3,7 @@
 mod check_report;
 mod cli;
 mod commands;
+mod distributed;
 mod error;
 mod logging;
 mod offline;

@@ -3,14 +3,12 @@
 use crate::error::AppError;
 use crate::summary::{Collector, Samples};
 use spandrel_alert::{Baseline, Watch};
-use spandrel_bus::{EstimateBlock, LocalMessage};
-use spandrel_fuse::Fusion;
-use spandrel_identify::{Estimator, Identification, Input, NodeIdentification, NodeInput, NodeOutput, Output};
+use spandrel_bus::EstimateBlock;
+use spandrel_identify::{Estimator, Identification, Input, Output};
 use spandrel_ingest::{Alignment, IngestError, Layout};
 use spandrel_record::RecordError;
 use spandrel_sensor::{Clocks, Cutter, NodePlan, Row, SensorError};
 use spandrel_structure::Structure;
-use std::collections::VecDeque;
 
 /// Samples per block: long enough that blocks cost nothing, short enough to stay in the cache.
 const BLOCK_SAMPLES: u64 = 256;
@@ -36,7 +34,7 @@ pub fn identify(
     let nodes = NodePlan::of(structure, Clocks::Right).map_err(SensorError::from)?;
     let mut chain = Chain {
         alignment: Alignment::new(layout, "ingest".to_owned(), 1),
-        collector: collector_of(&identification),
+        collector: Collector::new(structure),
         identification,
         watch: Watch::new(structure, baseline)?,
         channels: structure.channels().map(|channel| channel.name().to_owned()).collect(),
@@ -44,6 +42,8 @@ pub fn identify(
         frames: Vec::new(),
         outputs: Vec::new(),
         alerts: Vec::new(),
+        start_ns: None,
+        last_ns: 0,
     };
     let mut cutter = Cutter::new(nodes, 1, BLOCK_SAMPLES);
     let mut samples = Vec::new();
@@ -63,116 +63,13 @@ pub fn identify(
     if chain.samples != Samples::default() {
         chain.collector.take_samples(chain.samples);
     }
+    if let Some(display) = chain.identification.class_display(chain.last_ns) {
+        chain.collector.take_classes(&display);
+    }
     if let Estimator::Particles(particles) = chain.identification.estimator() {
         chain.collector.take_effective_share(particles.effective_share());
     }
     Ok(chain.collector)
-}
-
-/// Identifies rows of a record as the nodes of a distributed structure and their station would, and decides on alerts.
-///
-/// `take` gets the fused estimates in order. Returns what was collected on the way.
-///
-/// # Errors
-/// When the structure cannot be identified by its nodes, the record cannot be read, or `take` fails.
-pub fn fuse(
-    structure: &Structure,
-    rows: impl Iterator<Item = Result<Row, RecordError>>,
-    baseline: Option<&Baseline>,
-    mut take: impl FnMut(&EstimateBlock) -> Result<(), AppError>,
-) -> Result<Collector, AppError> {
-    const EPOCH: u64 = 1;
-    let plans = NodePlan::of(structure, Clocks::Right).map_err(SensorError::from)?;
-    let workers = (0..plans.len()).map(|position| NodeIdentification::new(structure, position, EPOCH));
-    let mut network = Network {
-        fusion: Fusion::new(structure, "fuse", EPOCH)?,
-        workers: workers.collect::<Result<_, _>>()?,
-        watch: Watch::new(structure, baseline)?,
-        collector: collector(structure)?,
-        local: VecDeque::new(),
-    };
-    network.fusion.handle(spandrel_fuse::Input::Present(vec![true; plans.len()]), &mut Vec::new());
-    let mut cutter = Cutter::new(plans, EPOCH, BLOCK_SAMPLES);
-    let mut samples = Vec::new();
-    for row in rows {
-        let row = row?;
-        cutter.push(row.time_ns, &row.values, &mut samples);
-        for (node, block) in samples.drain(..) {
-            network.work(node, NodeInput::Samples(block));
-            network.settle(&mut take)?;
-        }
-    }
-    cutter.end(&mut samples);
-    for (node, block) in samples {
-        network.work(node, NodeInput::Samples(block));
-        network.settle(&mut take)?;
-    }
-    Ok(network.collector)
-}
-
-/// The nodes and the station without a bus between them.
-struct Network {
-    fusion: Fusion,
-    workers: Vec<NodeIdentification>,
-    watch: Watch,
-    collector: Collector,
-    /// messages on their way to the station
-    local: VecDeque<(usize, LocalMessage)>,
-}
-
-impl Network {
-    fn work(&mut self, node: usize, input: NodeInput) {
-        let mut outputs = Vec::new();
-        self.workers[node].handle(input, &mut outputs);
-        for output in outputs {
-            match output {
-                NodeOutput::Local(message) => self.local.push_back((node, message)),
-                NodeOutput::Event(event) => spandrel_identify::log_event(&event),
-            }
-        }
-    }
-
-    /// Passes messages on until nothing is on its way.
-    fn settle(&mut self, take: &mut impl FnMut(&EstimateBlock) -> Result<(), AppError>) -> Result<(), AppError> {
-        while let Some((node, message)) = self.local.pop_front() {
-            let arrived_ns = message.header.time_ns;
-            let mut outputs = Vec::new();
-            self.fusion.handle(spandrel_fuse::Input::Local { node, message, bytes: 0, arrived_ns }, &mut outputs);
-            for output in outputs {
-                match output {
-                    spandrel_fuse::Output::Estimates(block) => {
-                        let mut alerts = Vec::new();
-                        self.watch.handle_block(&block, &mut alerts)?;
-                        self.collector.take_estimates(&block);
-                        alerts.iter().for_each(|alert| self.collector.take_alert(alert));
-                        take(&block)?;
-                    }
-                    spandrel_fuse::Output::Feedback(node, feedback) => self.work(node, NodeInput::Feedback(feedback)),
-                    spandrel_fuse::Output::Event(event) => spandrel_identify::log_event(&event),
-                    spandrel_fuse::Output::Parameter(_) | spandrel_fuse::Output::Node(_) => {} // for people who watch a bus
-                }
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Makes an empty collector with the names of a structure.
-///
-/// # Errors
-/// When the structure cannot be identified.
-pub fn collector(structure: &Structure) -> Result<Collector, AppError> {
-    if structure.fusion().is_some() {
-        let names = structure.parameters().iter().map(|parameter| parameter.name().to_owned()).collect();
-        return Ok(Collector::new(names, Vec::new())); // a station knows of no noise levels
-    }
-    Ok(collector_of(&Identification::new(structure, "identify")?))
-}
-
-fn collector_of(identification: &Identification) -> Collector {
-    let parameters = identification.parameter_names().map(ToString::to_string).collect();
-    let noise = identification.noise_names().iter().map(ToString::to_string).collect();
-    Collector::new(parameters, noise)
 }
 
 struct Chain {
@@ -185,6 +82,10 @@ struct Chain {
     frames: Vec<spandrel_bus::FrameBlock>,
     outputs: Vec<Output>,
     alerts: Vec<spandrel_alert::Alert>,
+    /// time of the first frame
+    start_ns: Option<i64>,
+    /// time of the last frame
+    last_ns: i64,
 }
 
 impl Chain {
@@ -197,6 +98,10 @@ impl Chain {
         self.alignment.handle(spandrel_ingest::Input::Samples { node, block }, &mut self.frames);
         for frames in self.frames.drain(..) {
             self.samples.take_frames(&self.channels, &frames);
+            self.start_ns.get_or_insert(frames.t0_ns);
+            if let (Some(grid), Some((last, _))) = (frames.grid(), frames.iter().last()) {
+                self.last_ns = grid.time_ns(last);
+            }
             self.identification.handle(Input::Frames(frames), &mut self.outputs);
         }
         for output in self.outputs.drain(..) {
@@ -206,8 +111,9 @@ impl Chain {
                     self.collector.take_estimates(&estimates);
                     take(&estimates)?;
                 }
-                Output::Event(event) => spandrel_identify::log_event(&event),
-                Output::Parameter(_) | Output::Noise(_) | Output::Outliers(_) | Output::Classes(_) => {} // for people who watch a bus
+                Output::Event(event) => spandrel_identify::log_event(&event, self.start_ns),
+                Output::Classes(display) => self.collector.take_classes(&display),
+                Output::Parameter(_) | Output::Noise(_) | Output::Outliers(_) => {} // for people who watch a bus
             }
         }
         for alert in self.alerts.drain(..) {

@@ -19,11 +19,11 @@ pub fn expected_rows(path: &Path) -> Option<u64> {
     (rows > 0).then(|| (rows as f64 * (size as f64 / head.len() as f64)) as u64)
 }
 
-/// Opens `path` for `structure` and checks that it is sampled at the structure's rate.
+/// Returns where each channel of a structure stands in its recordings, and in which unit.
 ///
 /// # Errors
-/// When the file cannot be read, lacks columns or has another rate; it names what it has.
-pub fn open(structure: &Structure, path: &Path) -> Result<Recording, AppError> {
+/// When a calibration is no number that can be undone.
+pub fn mapping(structure: &Structure) -> Result<ColumnMapping, AppError> {
     let map = structure.record();
     let columns = structure
         .channels()
@@ -35,12 +35,19 @@ pub fn open(structure: &Structure, path: &Path) -> Result<Recording, AppError> {
                 .with_calibration(column.factor(), column.offset())
         })
         .collect::<Result<Vec<_>, _>>()?;
-    let mapping = ColumnMapping::new(columns).with_time_column(map.time_column());
-    let offset = match map.remove_offset_s() {
+    Ok(ColumnMapping::new(columns).with_time_column(map.time_column()))
+}
+
+/// Opens `path` for `structure` and checks that it is sampled at the structure's rate.
+///
+/// # Errors
+/// When the file cannot be read, lacks columns or has another rate; it names what it has.
+pub fn open(structure: &Structure, path: &Path) -> Result<Recording, AppError> {
+    let offset = match structure.record().remove_offset_s() {
         seconds if seconds > 0.0 => OffsetRemoval::MeanOfFirst { seconds },
         _ => OffsetRemoval::Keep,
     };
-    let recording = Recording::open(path, &mapping, offset)?;
+    let recording = Recording::open(path, &mapping(structure)?, offset)?;
     recording.check_sampling_rate(structure.sampling_rate_hz())?;
     Ok(recording)
 }

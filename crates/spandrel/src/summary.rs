@@ -1,25 +1,40 @@
 //! What a run ends with: the last estimates, and the alerts on the way.
 
+mod classes;
+mod noise;
+mod ordered;
+mod text;
+
+use classes::ClassCollector;
+pub use classes::ClassSummary;
+pub use noise::{NoiseLevelSummary, StatedLevel};
+pub use ordered::Ordered;
 use serde::Serialize;
 use spandrel_alert::Alert;
-use spandrel_bus::{AlertMessage, AlertState, EstimateBlock, FrameBlock, Phase};
+use spandrel_bus::{AlertMessage, AlertState, EstimateBlock, FrameBlock, ModelClassDisplay, Phase};
+use spandrel_structure::Structure;
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 
 /// The result of a run, as `--json` prints it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
     /// Frames identified.
     pub frames: u64,
-    /// The last estimate of each parameter, ratio to nominal.
-    pub parameters: BTreeMap<String, Level>,
+    /// The last estimate of each parameter in file order, ratio to nominal.
+    pub parameters: Ordered<Level>,
     /// Alerts that were raised, acknowledged or cleared, in order.
     pub alerts: Vec<AlertSummary>,
-    /// The last estimate of each noise level (variance, unit² of its source).
-    pub noise: BTreeMap<String, Level>,
-    /// Mean of the normalised innovation squared per channel used, 1 when the model fits, once the noise levels are trained;
-    /// none without innovations.
+    /// The last estimate of each adapted noise level in file order, beside what the file states.
+    pub noise: Ordered<NoiseLevelSummary>,
+    /// Mean of the normalised innovation squared per channel used, 1 when model and noise levels explain the data, once the
+    /// noise levels are trained and the start-up aid has faded; none before, and without innovations. Adapted noise levels
+    /// come to explain whatever a wrong model leaves, so that it is no test of the model where they are.
     pub misfit: Option<f64>,
+    /// What people should look into.
+    pub warnings: Vec<String>,
+    /// How the model classes stand at the end, and what they went through; none where there is one model.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub classes: Option<ClassSummary>,
     /// What was wrong with the samples of a record; none where nothing was, and where the services have counted it in their
     /// status.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -79,9 +94,12 @@ pub struct AlertSummary {
 #[derive(Debug, Clone)]
 pub struct Collector {
     parameters: Vec<String>,
-    noise: Vec<String>,
+    noise: Vec<StatedLevel>,
     t0_ns: Option<i64>,
     frames: u64,
+    /// frames that the start-up aid lasts, and those since the last start of the filter
+    annealing: (u64, u64),
+    classes: ClassCollector,
     last: Option<spandrel_bus::Estimate>,
     alerts: Vec<(i64, AlertSummary)>,
     /// sum of the normalised innovations squared, and of the channels used
@@ -91,13 +109,16 @@ pub struct Collector {
 }
 
 impl Collector {
-    /// Starts empty; names in the order of the estimates.
-    pub fn new(parameters: Vec<String>, noise: Vec<String>) -> Self {
+    /// Starts empty, for the estimates of a structure.
+    pub fn new(structure: &Structure) -> Self {
+        let annealed = (structure.annealing_end_s() * structure.sampling_rate_hz()).ceil() as u64;
         Self {
-            parameters,
-            noise,
+            parameters: structure.parameters().iter().map(|parameter| parameter.name().to_owned()).collect(),
+            noise: StatedLevel::adapted_of(structure),
             t0_ns: None,
             frames: 0,
+            annealing: (annealed, 0),
+            classes: ClassCollector::default(),
             last: None,
             alerts: Vec::new(),
             misfit: (0.0, 0.0),
@@ -121,8 +142,11 @@ impl Collector {
         self.t0_ns.get_or_insert(block.t0_ns);
         self.frames += block.estimates.len() as u64;
         for estimate in &block.estimates {
-            // while the noise is in training, the start-up aid distrusts the sensors; and particles have no innovations
+            let (annealed, since_start) = &mut self.annealing;
+            *since_start = if estimate.flags.restarted { 0 } else { *since_start + 1 };
+            // the start-up aid distrusts the sensors, and the training their noise; and particles have no innovations
             if estimate.flags.phase == Phase::Working
+                && *since_start > *annealed
                 && estimate.innovations.iter().any(|innovation| innovation.is_finite())
             {
                 self.misfit.0 += estimate.normalised_innovation_squared;
@@ -132,6 +156,11 @@ impl Collector {
         if let Some(last) = block.estimates.last() {
             self.last = Some(last.clone());
         }
+    }
+
+    /// Takes how the model classes stand, in order.
+    pub fn take_classes(&mut self, display: &ModelClassDisplay) {
+        self.classes.take(display);
     }
 
     /// Takes a change of an alert from the bus.
@@ -189,15 +218,18 @@ impl Collector {
     pub fn finish(self) -> Summary {
         let t0_ns = self.t0_ns.unwrap_or(0);
         let level = |mean: f64, variance: f64| Level { mean, std: variance.max(0.0).sqrt() };
-        let (mut parameters, mut noise) = (BTreeMap::new(), BTreeMap::new());
+        let (mut parameters, mut noise) = (Ordered::default(), Ordered::default());
         if let Some(last) = &self.last {
             for (index, (name, mean)) in self.parameters.iter().zip(&last.mean).enumerate() {
-                parameters.insert(name.clone(), level(*mean, last.variance(index).unwrap_or(0.0)));
+                parameters.push(name.clone(), level(*mean, last.variance(index).unwrap_or(0.0)));
             }
-            for (name, (mean, variance)) in self.noise.iter().zip(last.noise_mean.iter().zip(&last.noise_covariance)) {
-                noise.insert(name.clone(), level(*mean, *variance));
+            for (stated, (mean, variance)) in self.noise.iter().zip(last.noise_mean.iter().zip(&last.noise_covariance))
+            {
+                noise.push(stated.name.clone(), stated.found(level(*mean, *variance)));
             }
         }
+        let warnings = self.noise.iter().zip(noise.values()).filter_map(|(stated, found)| stated.warning(found));
+        let warnings = warnings.collect();
         let alerts = self
             .alerts
             .into_iter()
@@ -210,44 +242,11 @@ impl Collector {
             alerts: alerts.collect(),
             noise,
             misfit,
+            warnings,
+            classes: self.classes.finish(t0_ns),
             samples: self.samples,
             effective_share: self.effective_share,
         }
-    }
-}
-
-impl Summary {
-    /// Writes the summary for people.
-    pub fn text(&self) -> String {
-        let mut text = format!("{} frames identified\n", self.frames);
-        // writing to a String does not fail
-        if let Some(Samples { missing, discarded }) = &self.samples {
-            for (what, counts) in [("missing samples", missing), ("discarded", discarded)] {
-                if !counts.is_empty() {
-                    let counts: Vec<String> = counts.iter().map(|(name, count)| format!("{name} {count}")).collect();
-                    let _ = writeln!(text, "  {what}: {}", counts.join(", "));
-                }
-            }
-        }
-        if let Some(share) = self.effective_share {
-            let _ = writeln!(text, "  {:.0} % of the particles counted on average", 100.0 * share);
-        }
-        if let Some(misfit) = self.misfit {
-            let _ = writeln!(text, "  normalised innovation squared {misfit:.2} per channel (1 when the model fits)");
-        }
-        for (name, level) in &self.parameters {
-            let _ = writeln!(text, "  {name:<24} {:.4} ± {:.4}", level.mean, level.std);
-        }
-        for (name, level) in &self.noise {
-            let _ = writeln!(text, "  noise of {name:<15} {:.4e} ± {:.1e} (variance)", level.mean, level.std);
-        }
-        if self.alerts.is_empty() {
-            text.push_str("no alert\n");
-        }
-        for alert in &self.alerts {
-            let _ = writeln!(text, "{:>9.2} s  {}: {}", alert.time_s, alert.state.as_str(), alert.why);
-        }
-        text
     }
 }
 

@@ -71,7 +71,11 @@ fn missing_and_discarded_samples_and_the_misfit_are_told() {
     assert_eq!(told["samples"]["missing"], serde_json::json!({ "floor-3": 50, "floor-5": 2 }));
     assert_eq!(told["samples"]["discarded"], serde_json::json!({ "out-of-range-values": 2 }));
     let text = String::from_utf8(estimate(&structure, &spoilt_record, &[]).stdout).unwrap();
-    for part in ["missing samples: floor-3 50, floor-5 2", "discarded: out-of-range-values 2", "per channel (1 when"] {
+    for part in [
+        "missing samples: floor-3 50, floor-5 2",
+        "discarded: out-of-range-values 2",
+        "per channel (1 when the noise that was found",
+    ] {
         assert!(text.contains(part), "{part} is not in\n{text}");
     }
 }
@@ -102,10 +106,120 @@ fn particles_agree_with_the_kalman_filter_where_there_are_few_states() {
 }
 
 #[test]
-fn particles_of_a_large_model_come_with_a_warning() {
+fn simulated_record_is_read_with_the_same_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut tried = 0;
+    for entry in std::fs::read_dir(example("")).unwrap() {
+        let path = entry.unwrap().path();
+        let text = std::fs::read_to_string(&path).unwrap_or_default();
+        if !text.lines().any(|line| line == "[record]") {
+            continue;
+        }
+        tried += 1;
+        let record = folder.path().join("mapped.csv");
+        simulate(&path, &record, "20");
+        let mapped = summary(&path, &record, &[]);
+        // without the columns of the file the record has the names of the channels, and SI units
+        let plain: String =
+            text.lines().filter(|line| !line.contains("column")).map(|line| line.to_owned() + "\n").collect();
+        let structure = folder.path().join("plain.toml");
+        std::fs::write(&structure, plain).unwrap();
+        simulate(&structure, &record, "20");
+        let plain = summary(&structure, &record, &[]);
+        for (name, level) in mapped["parameters"].as_object().unwrap() {
+            let (mapped, plain) =
+                (level["mean"].as_f64().unwrap(), plain["parameters"][name]["mean"].as_f64().unwrap());
+            assert!((mapped - plain).abs() < 1e-9, "{}: {name} {mapped} {plain}", path.display());
+        }
+    }
+    assert!(tried >= 3, "{tried} examples with a record table");
+}
+
+#[test]
+fn channels_that_are_swapped_are_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
+    simulate(&structure, &record, "40");
+    let sound = summary(&structure, &record, &[]);
+    assert_eq!(sound["warnings"], serde_json::json!([]));
+    let floors = &sound["noise"]["floors"];
+    assert_eq!((floors["stated_std"].as_f64(), floors["unit"].as_str()), (Some(0.005), Some("m/s2")));
+    assert!((0.9..1.1).contains(&floors["ratio"].as_f64().unwrap()), "{floors}");
+    let text = std::fs::read_to_string(&record).unwrap();
+    let swapped =
+        text.replacen("floor-2", "floor-x", 1).replacen("floor-5", "floor-2", 1).replacen("floor-x", "floor-5", 1);
+    std::fs::write(&record, swapped).unwrap();
+    let told = summary(&structure, &record, &[]);
+    println!("misfit {}, noise {}", told["misfit"], told["noise"]["floors"]);
+    let warning = told["warnings"][0].as_str().unwrap();
+    assert!(warning.starts_with("noise of floors is ") && warning.contains("a channel swapped"), "{warning}");
+}
+
+#[test]
+fn parameters_keep_the_order_of_the_file_and_classes_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = std::fs::read_to_string(example("demo.toml")).unwrap();
+    let text = text.replace("name = \"storey-1\"", "name = \"zero\"").replace("at-s = 60", "at-s = 20")
+        + "\n[classes]\nkind = \"self-calibrating\"\n";
+    let (structure, record) = (folder.path().join("demo.toml"), folder.path().join("demo.csv"));
+    std::fs::write(&structure, text).unwrap();
+    simulate(&structure, &record, "40");
+    let output = estimate(&structure, &record, &["--json", "--verbose"]);
+    let json = String::from_utf8(output.stdout).unwrap();
+    let places: Vec<usize> =
+        ["zero", "storey-2", "storey-5"].map(|name| json.find(&format!("\"{name}\":")).unwrap()).to_vec();
+    assert!(places.is_sorted(), "{json}");
+    let told: Value = serde_json::from_str(&json).unwrap();
+    let classes = &told["classes"];
+    let sum: f64 =
+        classes["classes"].as_array().unwrap().iter().map(|class| class["plausibility"].as_f64().unwrap()).sum();
+    assert!((sum - 1.0).abs() < 1e-9, "{classes}");
+    assert_eq!(classes["leads"][0], serde_json::json!({ "time_s": 0.0, "class": "baseline" }));
+    let calibrations = classes["calibrations"].as_array().unwrap();
+    let of_damage =
+        calibrations.iter().find(|by| by["class"] == "storey-2" && by["time_s"].as_f64() > Some(20.0)).unwrap();
+    assert!(of_damage["change"].as_f64() < Some(-0.02), "{classes}");
+    let log = String::from_utf8(output.stderr).unwrap();
+    let line = log.lines().find(|line| line.contains("class storey-2 recalibrated")).unwrap();
+    for part in ["subject=\"identify\"", "time_s=2"] {
+        assert!(line.contains(part), "{part} is not in {line}");
+    }
+    let text = String::from_utf8(estimate(&structure, &record, &[]).stdout).unwrap();
+    for part in ["leads; plausibilities: ", "calibrations, the latest first: ", "leads that lasted, the latest first: "]
+    {
+        assert!(text.contains(part), "{part} is not in\n{text}");
+    }
+}
+
+#[test]
+fn options_that_would_do_nothing_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
     simulate(&structure, &record, "2");
+    let paths = ["estimate", structure.to_str().unwrap(), "--record", record.to_str().unwrap()];
+    for (options, told) in [
+        (vec!["--particles", "50"], "--particles is of use only with --filter particle"),
+        (
+            vec!["--filter", "particle", "--particles", "10", "--warm-up", "5"],
+            "--warm-up is 5 s and the record has 2 s",
+        ),
+    ] {
+        let output = spandrel(&[&paths[..], &options].concat());
+        let log = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{log}");
+        assert!(log.contains(told), "{log}");
+    }
+    let text = folder.path().join("demo.txt");
+    let output = spandrel(&["simulate", structure.to_str().unwrap(), "--record", text.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(!text.exists() && String::from_utf8_lossy(&output.stderr).contains(".csv"));
+}
+
+#[test]
+fn particles_of_a_large_model_come_with_a_warning() {
+    let folder = tempfile::tempdir().unwrap();
+    let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
+    simulate(&structure, &record, "3");
     let output = estimate(&structure, &record, &["--filter", "particle", "--particles", "10"]);
     let log = String::from_utf8(output.stderr).unwrap();
     assert!(log.contains("15 states and parameters"), "{log}");

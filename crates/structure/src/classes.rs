@@ -32,6 +32,8 @@ impl ClassesPlan {
     pub(crate) const RESET_STD: f64 = 1.0 / 3.0;
     /// Default persistence, in fundamental periods: Huang & Yuen (2023), §5.4.
     const PERSISTENCE_PERIODS: f64 = 2.0;
+    /// Longest persistence (steps): four times as many leads are remembered.
+    pub(crate) const MOST_PERSISTENCE_STEPS: usize = 10_000_000;
 }
 
 /// Makes the models of the classes of a structure; its stiffness parameters are the components.
@@ -118,7 +120,8 @@ impl Structure {
         Some(ClassSettings {
             plan: plan.plan.clone(),
             floor: plan.floor.unwrap_or(default_floor),
-            persistence_steps: (persistence_s * self.sampling_rate_hz).round().max(1.0) as usize,
+            persistence_steps: ((persistence_s * self.sampling_rate_hz).round() as usize)
+                .clamp(1, ClassesPlan::MOST_PERSISTENCE_STEPS),
             persistence_rule: plan.persistence_rule,
             reset_std: plan.reset_std,
         })

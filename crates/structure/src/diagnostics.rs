@@ -8,6 +8,9 @@ use std::path::Path;
 /// Names further away than this are not suggested: a different word helps nobody.
 const CLOSEST_SUGGESTION: usize = 3;
 
+/// Longer lists of names are cut short: nobody reads them.
+const MOST_LISTED: usize = 20;
+
 /// Collects mistakes; knows the file, to turn byte positions into lines.
 ///
 /// It is shared by the readers of all tables, hence the inner mutability.
@@ -55,12 +58,31 @@ impl<'t> Diagnostics<'t> {
 /// Returns the nearest of `known` names as a hint, or the list of all of them.
 pub(crate) fn one_of<'k>(unknown: &str, known: impl Iterator<Item = &'k str> + Clone) -> String {
     match known.clone().map(|name| (edit_distance(unknown, name), name)).min() {
-        Some((distance, name)) if distance <= CLOSEST_SUGGESTION && distance < unknown.len() => {
+        Some((distance, name))
+            if distance <= CLOSEST_SUGGESTION && distance < unknown.len() && !differs_by_number(unknown, name) =>
+        {
             format!("did you mean \"{name}\"?")
         }
-        Some(_) => format!("must be one of {}", known.collect::<Vec<_>>().join(", ")),
+        Some(_) => match &known.collect::<Vec<_>>()[..] {
+            [one] => format!("must be {one}"),
+            all @ [first, second, .., last] if all.len() > MOST_LISTED => {
+                format!("must be one of {first}, {second}, …, {last} ({} in all)", all.len())
+            }
+            all => format!("must be one of {}", all.join(", ")),
+        },
         None => "none is declared".to_owned(),
     }
+}
+
+/// Tells whether two names are the same but for their numbers: a storey that is not there is no slip for the first one.
+fn differs_by_number(a: &str, b: &str) -> bool {
+    let letters = |name: &str| name.chars().filter(|c| !c.is_ascii_digit()).collect::<String>();
+    a.bytes().any(|byte| byte.is_ascii_digit()) && letters(a) == letters(b)
+}
+
+/// Writes a number of things, in the singular where it is one.
+pub(crate) fn counted(count: usize, one: &str, many: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { many })
 }
 
 /// Returns how many insertions, deletions and replacements turn `a` into `b` (Levenshtein).
@@ -88,6 +110,21 @@ mod tests {
         let known = ["half-life-s", "noise-rule"];
         assert_eq!(one_of("half-live-s", known.into_iter()), "did you mean \"half-life-s\"?");
         assert_eq!(one_of("colour", known.into_iter()), "must be one of half-life-s, noise-rule");
+    }
+
+    #[test]
+    fn a_name_with_another_number_brings_the_list() {
+        let storeys: Vec<String> = (1..=40).map(|storey| format!("storey-{storey}")).collect();
+        let known = |count: usize| storeys[..count].iter().map(String::as_str);
+        assert_eq!(one_of("storey-4", known(3)), "must be one of storey-1, storey-2, storey-3");
+        assert_eq!(one_of("storey-41", known(40)), "must be one of storey-1, storey-2, …, storey-40 (40 in all)");
+        assert_eq!(one_of("story-4", known(40)), "did you mean \"storey-4\"?");
+        assert_eq!(one_of("storey-2", known(1)), "must be storey-1");
+    }
+
+    #[test]
+    fn one_thing_is_counted_in_the_singular() {
+        assert_eq!([1, 2].map(|count| counted(count, "entry", "entries")), ["1 entry", "2 entries"]);
     }
 
     #[test]

@@ -20,13 +20,14 @@ mod record;
 mod simulation;
 mod tower;
 
-use crate::diagnostics::{Diagnostics, one_of};
+use crate::diagnostics::{Diagnostics, counted, one_of};
 use crate::error::StructureError;
 use crate::noise_level::{NoiseLevel, NoiseSource};
-use crate::section::{Allowed, Section};
+use crate::section::{Allowed, Section, short};
 use crate::structure::Structure;
 use node::ChannelRead;
 use spandrel_filter::NoiseRule;
+use std::ops::RangeInclusive;
 use std::path::Path;
 use toml::Spanned;
 use toml::de::DeTable;
@@ -95,13 +96,13 @@ impl<'t> StructureFile<'t> {
             excitation::read_excitations(&mut file, &excitation::Context { rate_hz: head.rate_hz, system, channels });
         let (declared, parameters) = parameter::read_parameters(&mut file, system, damping.as_ref());
         let mut plan = filter::read_filter(file.table("filter"), head.rate_hz);
-        plan.outliers = outliers::read_outliers(file.table("outliers"));
+        plan.outliers = outliers::read_outliers(file.table("outliers"), head.rate_hz);
         let mut noise_levels = read_noise_levels(&file, &nodes.channels, &excitations);
         for level in &mut noise_levels {
             level.adapted &= plan.noise_rule != NoiseRule::Fixed;
         }
         let all_parameters = (declared == parameters.len()).then_some(&parameters[..]);
-        let classes = classes::read_classes(file.table("classes"), all_parameters);
+        let classes = classes::read_classes(file.table("classes"), all_parameters, head.rate_hz);
         let fusion = fusion::read_fusion(
             file.table("fusion"),
             head.distributed.as_ref(),
@@ -233,6 +234,37 @@ fn check_unique(section: &Section<'_>, key: &str, names: &[Spanned<String>]) {
             section.diagnostics().report(name.span(), key, found, "must be unique");
         }
     }
+}
+
+/// Reads a time (s) that is counted in samples at `rate_hz`, the structure's, and reports what is not in `samples`.
+fn read_time(
+    section: &mut Section<'_>,
+    key: &'static str,
+    rate_hz: Option<f64>,
+    samples: RangeInclusive<usize>,
+) -> Option<f64> {
+    let time_s = section.number(key, Allowed::POSITIVE)?;
+    let rate_hz = rate_hz?;
+    let count = (time_s.get_ref() * rate_hz).round();
+    let (least, most) = (*samples.start() as f64, *samples.end() as f64);
+    if (least..=most).contains(&count) {
+        return Some(time_s.into_inner());
+    }
+    let found = match count {
+        few if few < least => {
+            format!("is {}, {} at {rate_hz} Hz", short(*time_s.get_ref()), counted(few as usize, "sample", "samples"))
+        }
+        _ => format!("is {}", short(*time_s.get_ref())),
+    };
+    let allowed = format!(
+        "must be from {} to {}, which is {} to {} samples",
+        short(least / rate_hz),
+        short(most / rate_hz),
+        samples.start(),
+        samples.end()
+    );
+    section.diagnostics().report(time_s.span(), section.key(key), found, allowed);
+    None
 }
 
 /// Finds a name among `known`; reports it if it is not there.

@@ -2,6 +2,7 @@
 //! turns it into steps and covariances.
 
 use spandrel_filter::{InputHold, NoiseRule};
+use std::ops::RangeInclusive;
 
 /// The `[filter]` table of a structure file.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,6 +38,14 @@ pub(crate) struct OutlierPlan {
     pub(crate) fault_window_s: Option<f64>,
     /// Share of rejected samples from which on a channel is looked into.
     pub(crate) fault_share: f64,
+}
+
+impl OutlierPlan {
+    /// Samples of the training and of the fault window: fewer have no scale, and more take megabytes for each channel.
+    pub(crate) const RESIDUALS: RangeInclusive<usize> = 3..=1_000_000;
+    /// Samples of the window: with fewer the upper bound (4.27) falls below the lower one, two deviations; of more not even
+    /// the tail fits into memory.
+    pub(crate) const WINDOW: RangeInclusive<usize> = 14..=10_000_000;
 }
 
 impl Default for OutlierPlan {

@@ -9,6 +9,7 @@ use spandrel_filter::{
     Annealing, FadingFactor, FilterError, FilterSettings, NoiseModel, NoiseParameter, NoiseRule, NoiseSettings,
     NoiseTarget, OutlierSettings, OutlierTraining,
 };
+use std::ops::RangeInclusive;
 
 /// Periods of the fundamental mode before the training of the noise levels may end: Huang & Yuen (2023), (3.31).
 const TRAINING_PERIODS: f64 = 10.0;
@@ -59,8 +60,14 @@ impl Structure {
 
     /// Turns seconds into samples; what the file leaves open follows from the fundamental period as designed.
     fn outlier_settings(&self, plan: &OutlierPlan) -> OutlierSettings {
-        let steps = |seconds: f64| (seconds * self.sampling_rate_hz).round().max(3.0) as usize;
+        let steps = |seconds: f64| (seconds * self.sampling_rate_hz).round() as usize;
+        let at_most = |count: usize, range: RangeInclusive<usize>| count.min(*range.end());
         let mut settings = OutlierSettings::for_period(self.fundamental_period_s() * self.sampling_rate_hz);
+        // of a structure that hardly moves a hundred periods would not fit into memory
+        settings.window = at_most(settings.window, OutlierPlan::WINDOW);
+        settings.upper = upper_bound(settings.window);
+        settings.training_steps = at_most(settings.training_steps, OutlierPlan::RESIDUALS);
+        settings.fault_window = at_most(settings.fault_window, OutlierPlan::RESIDUALS);
         if !plan.gated {
             settings.training = OutlierTraining::Raw;
         }

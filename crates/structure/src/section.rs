@@ -3,7 +3,7 @@
 //! A derived deserialiser stops at the first wrong type. Walking the table keeps the span of each key and value, so
 //! that all mistakes of a file are found in one go, each with its line.
 
-use crate::diagnostics::{Diagnostics, one_of};
+use crate::diagnostics::{Diagnostics, counted, one_of};
 use std::fmt;
 use std::ops::{Bound, Range};
 use toml::Spanned;
@@ -38,7 +38,7 @@ impl Allowed {
 }
 
 /// Writes a bound with an exponent where zeros would have to be counted.
-fn short(bound: f64) -> String {
+pub(crate) fn short(bound: f64) -> String {
     let plain = bound == 0.0 || (1e-3..1e6).contains(&bound.abs());
     if plain { bound.to_string() } else { format!("{bound:e}") }
 }
@@ -106,6 +106,11 @@ impl<'t> Section<'t> {
 
     pub(crate) fn contains(&self, key: &str) -> bool {
         self.table.contains_key(key)
+    }
+
+    /// Returns where the value of a key stands; where the table begins, if it has none.
+    pub(crate) fn span_of(&self, key: &str) -> Range<usize> {
+        self.table.get(key).map_or_else(|| self.span(), Spanned::span)
     }
 
     /// Reports that `key` is missing, unless it is there (a value that was wrong has been reported already).
@@ -190,7 +195,7 @@ impl<'t> Section<'t> {
         if self.table.get(key).is_some_and(|value| value.get_ref().is_array()) {
             let numbers = self.numbers(key, allowed)?;
             if numbers.get_ref().len() != len {
-                let found = format!("has {} entries", numbers.get_ref().len());
+                let found = format!("has {}", counted(numbers.get_ref().len(), "entry", "entries"));
                 self.diagnostics.report(numbers.span(), self.key(key), found, format!("must have {len}"));
                 return None;
             }

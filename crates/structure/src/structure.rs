@@ -5,17 +5,20 @@ use crate::classes::ClassesPlan;
 use crate::error::StructureError;
 use crate::excitation::Excitation;
 use crate::file::StructureFile;
-use crate::filter_plan::FilterPlan;
+use crate::filter_plan::{Annealing, FilterPlan};
 use crate::fusion_plan::FusionPlan;
 use crate::linear_system::LinearSystem;
 use crate::modes::Modes;
 use crate::node::{Channel, Node};
-use crate::noise_level::NoiseLevel;
+use crate::noise_level::{NoiseLevel, NoiseSource};
 use crate::parameter::Parameter;
 use crate::record_map::RecordMap;
 use crate::settings::{BandLimit, IngestSettings};
 use crate::simulation_plan::SimulationPlan;
 use std::path::Path;
+
+/// Share of the noise of the sensors that the start-up aid may add once it counts as faded.
+const ANNEALING_FADED: f64 = 0.01;
 
 /// A monitored structure: model, parameters, excitation, sensors, and what is asked of the filter and the alerts.
 ///
@@ -150,6 +153,25 @@ impl Structure {
     #[must_use]
     pub fn noise_levels(&self) -> &[NoiseLevel] {
         &self.noise_levels
+    }
+
+    /// Returns the unit in which the standard deviation of a noise level is stated.
+    #[must_use]
+    pub fn noise_unit(&self, level: &NoiseLevel) -> &'static str {
+        match level.source() {
+            NoiseSource::Excitation(component) => self.excitations.get(*component).map_or("", Excitation::unit),
+            NoiseSource::Sensors(rows) => {
+                let channel = rows.first().and_then(|row| self.observations().nth(*row));
+                channel.map_or("", |channel| channel.quantity().unit())
+            }
+        }
+    }
+
+    /// Returns how long (s) sensor noise counts for more than it is at the start of the filter, to within 1 %.
+    #[must_use]
+    pub fn annealing_end_s(&self) -> f64 {
+        let Annealing { amount, time_s } = self.plan.annealing;
+        time_s * (amount / ANNEALING_FADED).ln().max(0.0)
     }
 
     /// Returns the alert rules.

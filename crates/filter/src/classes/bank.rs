@@ -84,6 +84,8 @@ struct Workspace {
     of_class: DVector<f64>,
     /// entry of a class's parameters, and factor on it, for each parameter of the full model
     mapped: Vec<(usize, f64)>,
+    /// parameters of the full model that the most plausible class kept at a bound
+    limited: Vec<usize>,
 }
 
 impl<S: ComponentSystem> ClassBank<S> {
@@ -111,6 +113,7 @@ impl<S: ComponentSystem> ClassBank<S> {
             covariance: DMatrix::zeros(expected, expected),
             of_class: DVector::zeros(expected),
             mapped: vec![(0, 1.0); expected],
+            limited: Vec::with_capacity(expected),
         };
         let state = BankState {
             level: Level::First,
@@ -188,6 +191,7 @@ impl<S: ComponentSystem> ClassBank<S> {
             step.training_overdue = told.training_overdue;
             step.training_restarted = told.training_restarted;
         }
+        self.note_limited(leader, step.limited_states);
         self.appoint(leader);
         self.restart_lost(leader)?;
         if step.used_channels > 0 {
@@ -280,6 +284,12 @@ impl<S: ComponentSystem> ClassBank<S> {
     #[must_use]
     pub fn parameter_mean(&self) -> &DVector<f64> {
         &self.work.mean
+    }
+
+    /// Returns the parameters of the full model (from 0) that the most plausible class kept at a bound in the last step.
+    #[must_use]
+    pub fn limited_parameters(&self) -> &[usize] {
+        &self.work.limited
     }
 
     /// Returns the covariance of [`ClassBank::parameter_mean`] (N_θ × N_θ), that of the mixture over the classes.
@@ -396,6 +406,24 @@ impl<S: ComponentSystem> ClassBank<S> {
             members.par_iter_mut().enumerate().for_each(step);
         } else {
             members.iter_mut().enumerate().for_each(step);
+        }
+    }
+
+    /// Notes which parameters a class had to bring back to their bounds: a calibration makes their entries anew.
+    fn note_limited(&mut self, class: usize, limited_states: usize) {
+        let Self { system, members, state, work, .. } = self;
+        work.limited.clear();
+        if limited_states == 0 {
+            return;
+        }
+        let (member, motion) = (&members[class], work.motion.len());
+        let (mean, settings) = (member.filter.mean(), member.filter.settings());
+        map_parameters(system, &member.grouping, &state.factors, &mut work.mapped);
+        for (parameter, (entry, _)) in work.mapped.iter().enumerate() {
+            let at = motion + entry;
+            if mean[at] <= settings.lower[at] || mean[at] >= settings.upper[at] {
+                work.limited.push(parameter);
+            }
         }
     }
 

@@ -229,6 +229,41 @@ fn parameters_at_their_bounds_are_told_once() {
 }
 
 #[test]
+fn parameters_that_a_class_keeps_at_their_bounds_are_named() {
+    let (structure, block) = of_text(
+        |text| {
+            text.replace("std = 0.2", "std = 0.2\nbounds = [0.9, 1.2]").replace("at-s = 60", "at-s = 20")
+                + "\n[classes]\nkind = \"self-calibrating\"\n"
+        },
+        4000,
+    );
+    let outputs = identified(&structure, block);
+    let told: Vec<_> = events(&outputs).into_iter().filter(|e| e.what == "parameters kept at their bounds").collect();
+    assert!(told.iter().any(|event| event.why.contains("storey-2")), "{told:?}");
+    assert!(told.iter().all(|event| event.why.contains("storey-")), "{told:?}");
+}
+
+#[test]
+fn ground_channel_that_is_stuck_is_told_within_seconds_and_nothing_is_decided_on() {
+    let (structure, mut block) = of_text(|text| text.replace("adapt-noise = true", "adapt-noise = false"), 6000);
+    let stuck_at = block.values[2000 * 6];
+    for frame in block.values.chunks_exact_mut(6).skip(2000) {
+        frame[0] = stuck_at;
+    }
+    let outputs = identified(&structure, block);
+    let told: Vec<_> = events(&outputs).into_iter().filter(|e| e.kind == EventKind::ChannelExcluded).collect();
+    assert_eq!(told.len(), 1, "{told:?}");
+    assert!(told[0].subject == "ground" && told[0].time_ns == 22_000_000_000, "{told:?}");
+    let estimates = estimates(&outputs);
+    let phases: Vec<Phase> = estimates.iter().map(|estimate| estimate.flags.phase).collect();
+    let turns: Vec<usize> = (1..phases.len()).filter(|at| phases[*at] != phases[at - 1]).collect();
+    assert_eq!((phases[0], &turns[..]), (Phase::Working, &[2200][..]));
+    // the motion of the ground is taken as unknown: the building is still identified
+    let worst = estimates[5999].mean.iter().map(|mean| (mean - 1.0).abs()).fold(0.0, f64::max);
+    assert!(worst < 0.1, "off by {worst}");
+}
+
+#[test]
 fn excitation_that_is_never_measured_is_told_once() {
     let (structure, mut block) = of_text(|text| text, 3000);
     for frame in block.values.chunks_exact_mut(6) {

@@ -4,7 +4,6 @@ use super::print;
 use super::simulate::simulate;
 use crate::cli::{DemoArguments, Speed};
 use crate::error::AppError;
-use crate::offline;
 use crate::services::{Running, Watched, block_on, interrupted};
 use crate::settings::Settings;
 use crate::summary::{Collector, Summary};
@@ -103,7 +102,7 @@ async fn collect(bus: &Bus, watched: &Watched, arguments: &DemoArguments) -> Res
     let estimates = bus.follow::<EstimateBlock>(keys.estimates(), keys.estimates_buffer(), settings).await?;
     let alerts = bus.subscribe::<AlertMessage>(keys.all_alerts(), ALERTS_WAITING).await?;
     let mut decided = bus.watch_progress(keys.progress(Service::Alert)).await?;
-    let mut collector = offline::collector(structure)?;
+    let mut collector = Collector::new(structure);
     loop {
         tokio::select! {
             delivery = estimates.deliveries().recv_async() => match delivery {

@@ -1,14 +1,13 @@
 //! `spandrel estimate`: identification of a recording without a bus.
 
 use super::{print, progress, refuse_overwriting};
-use crate::cli::{DensityChoice, EstimateArguments, FilterChoice, ParticleArguments};
+use crate::cli::{EstimateArguments, FilterChoice};
 use crate::error::AppError;
 use crate::services::tell_unused_baseline;
-use crate::{offline, record_source};
+use crate::{distributed, offline, record_source};
 use spandrel_alert::Baseline;
 use spandrel_bus::EstimateBlock;
-use spandrel_filter::{ImportanceDensity, ParticleSettings};
-use spandrel_identify::{Estimator, Identification, IdentifyError, ParticlePlan};
+use spandrel_identify::{Estimator, Identification, IdentifyError};
 use spandrel_record::EstimateWriter;
 use spandrel_sensor::recorded_rows;
 use spandrel_structure::Structure;
@@ -26,6 +25,9 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
         let inputs = [Some(&arguments.structure), Some(&arguments.record), arguments.baseline.as_ref()];
         refuse_overwriting(output, inputs.into_iter().flatten().map(|path| path.as_path()))?;
     }
+    if let (FilterChoice::Kalman, Some(option)) = (arguments.filter, arguments.particle.given()) {
+        return Err(AppError::ParticlesOnly { option });
+    }
     let structure = Structure::read(&arguments.structure)?;
     let recording = record_source::open(&structure, &arguments.record)?;
     let baseline = arguments.baseline.as_deref().map(Baseline::read).transpose()?;
@@ -35,20 +37,31 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
     let names: Vec<&str> = structure.parameters().iter().map(|parameter| parameter.name()).collect();
     let mut writer = arguments.output.as_deref().map(|path| EstimateWriter::create(path, &names)).transpose()?;
     let bar = progress::bar("identifying", record_source::expected_rows(&arguments.record));
-    let identification = identification(&structure, arguments)?;
     let rows = recorded_rows(recording, 0);
-    let collector = offline::identify(&structure, identification, rows, baseline.as_ref(), |block| {
+    let take = |block: &EstimateBlock| {
         bar.inc(block.estimates.len() as u64);
         match &mut writer {
             Some(writer) => write(writer, block),
             None => Ok(()),
         }
-    })?;
+    };
+    let by_nodes = structure.fusion().is_some() && arguments.filter == FilterChoice::Kalman;
+    let collector = if by_nodes {
+        distributed::fuse(&structure, rows, baseline.as_ref(), take)?
+    } else {
+        let identification = identification(&structure, arguments)?;
+        offline::identify(&structure, identification, rows, baseline.as_ref(), take)?
+    };
     bar.finish_and_clear();
     if let Some(writer) = writer {
         writer.finish()?;
     }
     let summary = collector.finish();
+    if arguments.filter == FilterChoice::Particle && summary.effective_share.is_none() {
+        let (warm_up_s, record_s) =
+            (arguments.particle.plan().warm_up_s, summary.frames as f64 / structure.sampling_rate_hz());
+        return Err(AppError::WarmUpTooLong { warm_up_s, record_s });
+    }
     print(&if arguments.json { summary.json() } else { summary.text() })
 }
 
@@ -58,19 +71,6 @@ fn identification(structure: &Structure, arguments: &EstimateArguments) -> Resul
     match arguments.filter {
         FilterChoice::Kalman => Ok(Identification::new(structure, ID)?),
         FilterChoice::Particle => {
-            let threads = std::thread::available_parallelism().map_or(1, std::num::NonZeroUsize::get);
-            let ParticleArguments { particles, density, drift, kernel, warm_up, seed } = arguments.particle;
-            let settings = ParticleSettings {
-                particles: particles as usize,
-                density: match density {
-                    DensityChoice::Optimal => ImportanceDensity::Optimal,
-                    DensityChoice::Prior => ImportanceDensity::Prior,
-                },
-                kernel,
-                seed,
-                threads,
-                ..ParticleSettings::default()
-            };
             if structure.has_classes() || structure.screens_outliers() {
                 warn!("particles take all parameters singly and every sample: [classes] and [outliers] are not used");
             }
@@ -81,7 +81,7 @@ fn identification(structure: &Structure, arguments: &EstimateArguments) -> Resul
                      intervals are much too narrow; compare several --seed, and see docs/theory/particle-filter.md"
                 );
             }
-            let plan = ParticlePlan { settings, drift_per_root_s: drift, warm_up_s: warm_up };
+            let plan = arguments.particle.plan();
             let refused = |source| IdentifyError::Filter { structure: structure.name().to_owned(), source };
             let estimator = Estimator::with_particles(structure, &plan).map_err(refused)?;
             Ok(Identification::with_estimator(structure, ID, estimator)?)

@@ -1,13 +1,14 @@
 //! `spandrel simulate`: a simulated structure, to the bus or to a file.
 
-use super::{print, progress, refuse_overwriting};
+use super::{counted, print, progress, refuse_overwriting};
 use crate::cli::SimulateArguments;
 use crate::error::AppError;
+use crate::record_source;
 use crate::services::{block_on, epoch_now, interrupted};
 use crate::settings::Settings;
 use indicatif::ProgressBar;
 use spandrel_bus::{Bus, Keys, Service};
-use spandrel_record::CsvWriter;
+use spandrel_record::{CsvWriter, Recording};
 use spandrel_sensor::{Clocks, NodePlan, SensorError, SensorService, SensorSettings, Speed, simulated_rows};
 use spandrel_structure::Structure;
 use std::convert::Infallible;
@@ -75,8 +76,8 @@ pub fn readers(structure: &Structure) -> Vec<Service> {
 }
 
 fn write_record(structure: &Structure, path: &Path, seed: u64, frames: u64) -> Result<(), AppError> {
-    let names: Vec<&str> = structure.channels().map(|channel| channel.name()).collect();
-    let mut writer = CsvWriter::create(path, &names)?;
+    Recording::check_format(path)?;
+    let mut writer = CsvWriter::create_mapped(path, &record_source::mapping(structure)?)?;
     let bar = progress::bar("simulating", Some(frames));
     for row in simulated_rows(structure, seed, 0, Some(frames)) {
         writer.write_row(row.time_ns, &row.values)?;
@@ -85,5 +86,6 @@ fn write_record(structure: &Structure, path: &Path, seed: u64, frames: u64) -> R
     writer.finish()?;
     bar.finish_and_clear();
     let (name, seconds) = (structure.name(), frames as f64 / structure.sampling_rate_hz());
-    print(&format!("{}: {frames} frames of {name}, {seconds} s, seed {seed}\n", path.display()))
+    let frames = counted(frames as usize, "frame", "frames");
+    print(&format!("{}: {frames} of {name}, {seconds} s, seed {seed}\n", path.display()))
 }

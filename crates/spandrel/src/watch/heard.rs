@@ -3,7 +3,8 @@
 use super::natural_name::NaturalName;
 use super::trail::Trail;
 use spandrel_bus::{
-    AlertMessage, AlertState, Event, MAX_CHANNELS, Name, NoiseDisplay, ParameterDisplay, Service, Status,
+    AlertMessage, AlertState, Event, EventKind, MAX_CHANNELS, ModelClassDisplay, Name, NoiseDisplay, ParameterDisplay,
+    Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -24,6 +25,7 @@ pub enum Input {
     Now(Duration),
     Parameter(ParameterDisplay),
     Noise(NoiseDisplay),
+    Classes(ModelClassDisplay),
     /// The alert of a parameter has changed.
     Alert(AlertMessage),
     /// An alert as it stood when somebody was asked for it.
@@ -59,6 +61,8 @@ pub struct Heard {
 pub struct StructureHeard {
     pub parameters: BTreeMap<NaturalName, ParameterHeard>,
     pub noise: BTreeMap<NaturalName, NoiseDisplay>,
+    /// How the model classes stand; `None` where there is one model, or nothing was heard of them.
+    pub classes: Option<ModelClassDisplay>,
     pub alerts: BTreeMap<NaturalName, AlertMessage>,
     /// Alerts of which the service that told them has gone; another one has not said anything of them yet.
     stale_alerts: BTreeSet<NaturalName>,
@@ -98,10 +102,12 @@ impl Heard {
                     self.take_alert(alert, changes);
                 }
             }
-            Input::Event(event) => {
-                self.events.push_front(event);
-                self.events.truncate(EVENTS_KEPT);
+            Input::Classes(display) => {
+                if let Some(structure) = self.structure_mut(&display.structure) {
+                    structure.classes = Some(display);
+                }
             }
+            Input::Event(event) => self.take_event(event),
             Input::Status(status) => self.take_status(status),
             Input::Present(instances) => self.take_present(&instances),
             Input::Misplaced => self.left_out += 1,
@@ -142,6 +148,18 @@ impl Heard {
         }
         structure.data_heard = Some(now);
         structure.noise.insert(name, display);
+    }
+
+    /// Keeps an event; of what comes again and again in normal work only the latest, so that a sensor that failed stays in sight.
+    fn take_event(&mut self, event: Event) {
+        if matches!(event.kind, EventKind::LeadingClass | EventKind::Calibration) {
+            let is_outdone = |kept: &Event| {
+                (&kept.structure, kept.kind, &kept.subject) == (&event.structure, event.kind, &event.subject)
+            };
+            self.events.retain(|kept| !is_outdone(kept));
+        }
+        self.events.push_front(event);
+        self.events.truncate(EVENTS_KEPT);
     }
 
     fn take_alert(&mut self, alert: AlertMessage, changes: &mut Vec<AlertMessage>) {

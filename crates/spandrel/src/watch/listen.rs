@@ -4,7 +4,8 @@ use super::heard::{Input, Instance};
 use super::topics::{KeyExpressions, OnTopic, input, instance};
 use crate::error::AppError;
 use spandrel_bus::{
-    AlertMessage, Bus, BusError, Event, LiveWatch, Name, NoiseDisplay, ParameterDisplay, Service, Status, Subscription,
+    AlertMessage, Bus, BusError, Event, LiveWatch, ModelClassDisplay, Name, NoiseDisplay, ParameterDisplay, Service,
+    Status, Subscription,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -15,7 +16,7 @@ use tracing::warn;
 const VALUES_WAITING: usize = 8192;
 /// Alerts and events that wait; there are few, and none must be missed.
 const ALERTS_WAITING: usize = 8192;
-/// Statuses that wait: one a second of each service.
+/// Statuses and model classes that wait: a few a second of each structure.
 const STATUSES_WAITING: usize = 1024;
 /// How long the alert services may take to say how the alerts stand.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
@@ -28,6 +29,7 @@ pub struct Listening {
     expressions: KeyExpressions,
     parameters: Subscription<ParameterDisplay>,
     noise: Subscription<NoiseDisplay>,
+    classes: Subscription<ModelClassDisplay>,
     alerts: Subscription<AlertMessage>,
     events: Subscription<Event>,
     statuses: Subscription<Status>,
@@ -53,6 +55,7 @@ impl Listening {
             root: root.clone(),
             parameters: bus.subscribe(expressions.parameters.clone(), VALUES_WAITING).await?,
             noise: bus.subscribe(expressions.noise.clone(), VALUES_WAITING).await?,
+            classes: bus.subscribe(expressions.classes.clone(), STATUSES_WAITING).await?,
             alerts: bus.subscribe(expressions.alerts.clone(), ALERTS_WAITING).await?,
             events: bus.subscribe(expressions.events.clone(), ALERTS_WAITING).await?,
             statuses: bus.subscribe(expressions.statuses.clone(), STATUSES_WAITING).await?,
@@ -78,6 +81,7 @@ impl Listening {
         drain(&self.root, &self.statuses, &mut inputs);
         drain(&self.root, &self.parameters, &mut inputs);
         drain(&self.root, &self.noise, &mut inputs);
+        drain(&self.root, &self.classes, &mut inputs);
         drain(&self.root, &self.alerts, &mut inputs);
         drain(&self.root, &self.events, &mut inputs);
         while let Some(answer) = self.asked.try_join_next() {
@@ -113,6 +117,7 @@ impl Listening {
         let refused = [
             self.parameters.refused(),
             self.noise.refused(),
+            self.classes.refused(),
             self.alerts.refused(),
             self.events.refused(),
             self.statuses.refused(),

@@ -1,7 +1,8 @@
 //! The view as plain lines, for pipes, scripts and logs: one line per change of an alert, one a second per structure.
 
 use super::heard::{Heard, StructureHeard};
-use super::wording::{duration, estimate, lag, printable, time};
+use super::structure_panel::leading_class;
+use super::wording::{duration, estimate, lag, nothing_measured, printable, time};
 use spandrel_bus::{AlertMessage, Name, Service};
 use std::fmt::Write as _;
 
@@ -14,7 +15,7 @@ pub fn alert_line(alert: &AlertMessage) -> String {
 /// How one structure is: `TIME STRUCTURE PARAMETER MEAN ± STD STATE, …; SERVICE lag LAG, …`.
 pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) -> String {
     let Some(time_ns) = structure.time_ns else {
-        return format!("{name} no data yet{}", services(heard, structure));
+        return format!("{name} {}{}{}", nothing_measured(structure), alerts(structure), services(heard, structure));
     };
     let parameters = structure.parameters.iter().map(|(parameter, value)| {
         let display = &value.display;
@@ -24,13 +25,27 @@ pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) ->
     });
     let parameters: Vec<String> = parameters.collect();
     let stale = heard.silence_of_data(structure).map(|silence| format!("stale {}: ", duration(silence)));
+    let class = structure.classes.as_ref().map(|classes| format!("; class {}", leading_class(classes)));
     format!(
-        "{} {name} {}{}{}",
+        "{} {name} {}{}{}{}",
         time(time_ns),
         stale.unwrap_or_default(),
         parameters.join(", "),
+        class.unwrap_or_default(),
         services(heard, structure)
     )
+}
+
+/// How the alerts stand of which somebody has told without any value having come: `: PARAMETER STATE, …`.
+fn alerts(structure: &StructureHeard) -> String {
+    let states = structure.alerts.iter().map(|(parameter, alert)| {
+        let stale = if structure.is_stale(&parameter.0) { " (stale)" } else { "" };
+        format!("{} {}{stale}", parameter.0, alert.state.as_str())
+    });
+    match &states.collect::<Vec<_>>()[..] {
+        [] => String::new(),
+        states => format!(": {}", states.join(", ")),
+    }
 }
 
 fn services(heard: &Heard, structure: &StructureHeard) -> String {
@@ -62,7 +77,7 @@ fn services(heard: &Heard, structure: &StructureHeard) -> String {
 #[cfg(test)]
 mod tests {
     use super::super::heard::Input;
-    use super::super::testing::{alert, at, damaged_tower, heard, name, parameter, present};
+    use super::super::testing::{alert, at, classes, damaged_tower, heard, name, parameter, present};
     use super::*;
     use spandrel_bus::AlertState;
 
@@ -105,5 +120,23 @@ mod tests {
     #[test]
     fn before_the_first_value_there_are_no_data() {
         assert_eq!(line(&heard([present(&[(Service::Ingest, "a")])])), "tower no data yet; ingest/a");
+    }
+
+    #[test]
+    fn alerts_that_stand_after_the_last_value_are_told() {
+        let raised = Input::StandingAlert(alert("storey-2", 45, AlertState::Raised));
+        let told = line(&heard([present(&[(Service::Alert, "a")]), raised]));
+        assert_eq!(told, "tower no data since this began to watch: storey-2 raised; alert/a");
+    }
+
+    #[test]
+    fn leading_class_is_told_with_its_plausibility() {
+        let mut tower = damaged_tower();
+        tower.handle(Input::Classes(classes("storey-2", 0.982, 3)), &mut Vec::new());
+        let told = line(&tower);
+        assert!(
+            told.contains("; class storey-2 leads with 98.2 %, baseline before it, 3 calibrations; ingest/a"),
+            "{told}"
+        );
     }
 }

@@ -4,12 +4,13 @@ use super::estimate_bar::{Axis, Marks};
 use super::heard::{Heard, InstanceHeard, ParameterHeard, StructureHeard};
 use super::trail::Trail;
 use super::wording::{
-    duration, estimate, lag, printable, probability, share, significant, state_counts, state_style, time,
+    duration, estimate, lag, nothing_measured, printable, probability, share, significant, state_counts, state_style,
+    time,
 };
 use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
-use spandrel_bus::{AlertMessage, Name, NoiseDisplay, Service};
+use spandrel_bus::{AlertMessage, ModelClassDisplay, Name, NoiseDisplay, Service};
 
 /// Between columns.
 const GAP: &str = "  ";
@@ -34,8 +35,10 @@ pub struct StructurePanel {
     pub time: Line<'static>,
     header: Line<'static>,
     rows: Vec<Line<'static>>,
-    /// Noise levels and services.
+    /// Noise levels, model classes and services.
     footer: Vec<Line<'static>>,
+    /// What stands in the place of rows where there are none.
+    nothing_measured: Line<'static>,
 }
 
 /// Widths of the columns; 0 is a column that there is no room for.
@@ -74,6 +77,7 @@ impl StructurePanel {
             header: header(axis, columns, &losses),
             rows: rows.collect(),
             footer: footer(heard, structure, width),
+            nothing_measured: Line::from(nothing_measured(structure)),
         }
     }
 
@@ -84,13 +88,13 @@ impl StructurePanel {
 
     /// The lines that fit into `height`, starting with row `first` where not all do.
     pub fn into_lines(self, height: usize, first: usize) -> Vec<Line<'static>> {
-        let Self { header, rows, mut footer, .. } = self;
+        let Self { header, rows, mut footer, nothing_measured, .. } = self;
         // in a small window parameters come before services
         footer.truncate(height.saturating_sub(1 + rows.len().min(ROWS_AT_LEAST)));
         let room = height.saturating_sub(1 + footer.len());
         let mut lines = vec![header];
         if rows.is_empty() {
-            lines.push(Line::from("no data yet").style(Modifier::DIM));
+            lines.push(nothing_measured.style(Modifier::DIM));
         } else if rows.len() <= room {
             lines.extend(rows);
         } else {
@@ -244,7 +248,7 @@ fn time_of(heard: &Heard, structure: &StructureHeard) -> Line<'static> {
                 Span::styled(format!("stale {}", duration(silence)), warning),
             ])
         }
-        (None, _) => Line::from("no data yet"),
+        (None, _) => Line::from(nothing_measured(structure)),
     }
 }
 
@@ -253,6 +257,9 @@ fn footer(heard: &Heard, structure: &StructureHeard, width: usize) -> Vec<Line<'
     if !structure.noise.is_empty() {
         let levels = structure.noise.values().map(|level| Span::raw(noise_level(level)));
         lines.extend(flow("noise (std)  ", levels.collect(), width));
+    }
+    if let Some(classes) = &structure.classes {
+        lines.extend(flow("model class  ", vec![Span::raw(leading_class(classes))], width));
     }
     let mut items = Vec::new();
     let is_node = |(service, _): &(Service, Name)| *service == Service::Sensor;
@@ -269,6 +276,22 @@ fn footer(heard: &Heard, structure: &StructureHeard, width: usize) -> Vec<Line<'
         lines.extend(flow("services     ", items, width));
     }
     lines
+}
+
+/// The class that leads with its plausibility, and which one is believed where that is another one.
+pub fn leading_class(display: &ModelClassDisplay) -> String {
+    let ModelClassDisplay { leading, believed, classes, calibrations, .. } = display;
+    let plausibility = classes.iter().find(|class| class.class == *leading).map_or(0.0, |class| class.plausibility);
+    let mut text = format!("{} leads with {}", printable(leading), probability(plausibility));
+    if believed != leading {
+        text.push_str(&format!(", {} before it", printable(believed)));
+    }
+    match calibrations {
+        0 => {}
+        1 => text.push_str(", 1 calibration"),
+        several => text.push_str(&format!(", {several} calibrations")),
+    }
+    text
 }
 
 /// The standard deviation of a noise source, as the structure file states it; the message carries the variance.

@@ -2,7 +2,8 @@
 
 use super::heard::{Heard, Input, Instance};
 use spandrel_bus::{
-    AlertMessage, AlertState, CredibleInterval, Event, EventKind, Name, NoiseDisplay, ParameterDisplay, Service, Status,
+    AlertMessage, AlertState, ClassPlausibility, CredibleInterval, Event, EventKind, ModelClassDisplay, Name,
+    NoiseDisplay, ParameterDisplay, Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -80,6 +81,20 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
         drops: drops.iter().map(|(reason, count)| ((*reason).to_owned(), *count)).collect::<BTreeMap<_, _>>(),
         restarts: 0,
         version: "0.1.0".to_owned(),
+    }
+}
+
+/// A class of `tower` that leads and is not yet believed.
+pub fn classes(leading: &str, plausibility: f64, calibrations: u64) -> ModelClassDisplay {
+    let class = |class: &str, plausibility| ClassPlausibility { class: class.to_owned(), plausibility };
+    ModelClassDisplay {
+        structure: name("tower"),
+        time_ns: TIME_NS,
+        classes: vec![class("baseline", 1.0 - plausibility), class(leading, plausibility)],
+        leading: leading.to_owned(),
+        believed: "baseline".to_owned(),
+        calibrations,
+        calibration: None,
     }
 }
 

@@ -2,8 +2,8 @@
 
 use super::heard::{Input, Instance};
 use spandrel_bus::{
-    AlertMessage, Event, Keys, Message, Name, NameError, NoiseDisplay, ParameterDisplay, Service, Status, Topic,
-    parse_key,
+    AlertMessage, Event, Keys, Message, ModelClassDisplay, Name, NameError, NoiseDisplay, ParameterDisplay, Service,
+    Status, Topic, parse_key,
 };
 
 /// The key expressions of what people look at.
@@ -11,6 +11,7 @@ use spandrel_bus::{
 pub struct KeyExpressions {
     pub parameters: String,
     pub noise: String,
+    pub classes: String,
     pub alerts: String,
     pub events: String,
     pub statuses: String,
@@ -36,6 +37,7 @@ impl KeyExpressions {
         Ok(Self {
             parameters: expression(keys.all_parameters()),
             noise: expression(keys.all_noise()),
+            classes: expression(keys.model_class()),
             alerts: expression(keys.all_alerts()),
             events: expression(keys.event()),
             statuses: expression(keys.all_statuses()),
@@ -67,6 +69,16 @@ impl OnTopic for NoiseDisplay {
 
     fn into_input(self) -> Input {
         Input::Noise(self)
+    }
+}
+
+impl OnTopic for ModelClassDisplay {
+    fn topic(&self) -> Option<(&Name, Topic)> {
+        Some((&self.structure, Topic::ModelClass))
+    }
+
+    fn into_input(self) -> Input {
+        Input::Classes(self)
     }
 }
 
@@ -136,6 +148,7 @@ mod tests {
         let expressions = KeyExpressions::new(&name("any"), None).unwrap();
         assert_eq!(expressions.parameters, "any/*/parameter/*");
         assert_eq!(expressions.noise, "any/*/noise/*");
+        assert_eq!(expressions.classes, "any/*/model-class");
         assert_eq!(expressions.alerts, "any/*/alert/*");
         assert_eq!(expressions.events, "any/*/event");
         assert_eq!(expressions.statuses, "any/*/status/*/*");

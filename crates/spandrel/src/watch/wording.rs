@@ -1,5 +1,6 @@
 //! Numbers, times and states as people read them.
 
+use super::heard::StructureHeard;
 use jiff::Timestamp;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::Span;
@@ -111,6 +112,11 @@ pub fn time(time_ns: i64) -> String {
 /// The text on one line, without what would steer a terminal: messages come from anywhere.
 pub fn printable(text: &str) -> String {
     text.chars().map(|letter| if letter.is_control() { ' ' } else { letter }).collect()
+}
+
+/// Says that no value has come; where alerts stand, values came before this was opened.
+pub fn nothing_measured(structure: &StructureHeard) -> &'static str {
+    if structure.alerts.is_empty() { "no data yet" } else { "no data since this began to watch" }
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Reads the kinds `shear-building` and `bouc-wen` of `[model]`: floors joined by storeys, linear or hysteretic.
 
 use super::check_unique;
+use crate::diagnostics::counted;
 use crate::hysteresis::{Drive, Hysteresis};
 use crate::linear_system::{Damping, LARGEST_MODEL, LinearSystem, StoreyGroup};
 use crate::section::{Allowed, Section};
@@ -95,7 +96,21 @@ fn read_group(mut section: Section<'_>, storeys: usize) -> Option<(Spanned<Strin
     Some((name.clone(), StoreyGroup { name: name.into_inner(), storeys: storeys? }))
 }
 
+/// Keys of a building of which each storey is given by itself, and of one of equal storeys.
+const SINGLE: [&str; 2] = ["masses-kg", "stiffnesses-n-per-m"];
+const EQUAL: [&str; 4] = ["storeys", "mass-kg", "stiffness-n-per-m", "first-frequency-hz"];
+
 fn read_shear_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
+    let given = |keys: &[&'static str]| keys.iter().copied().find(|key| section.contains(key));
+    if let (Some(single), Some(equal)) = (given(&SINGLE), given(&EQUAL)) {
+        let found = format!("is given beside {single}");
+        let allowed = "must give either masses-kg and stiffnesses-n-per-m, one number per storey, or storeys and mass-kg \
+                       with stiffness-n-per-m or first-frequency-hz, for equal storeys";
+        section.diagnostics().report(section.span_of(equal), section.key(equal), found, allowed);
+        section.leave_unread(&SINGLE);
+        section.leave_unread(&EQUAL);
+        return None;
+    }
     if section.contains("storeys") {
         return read_uniform_building(section);
     }
@@ -107,13 +122,13 @@ fn read_shear_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
     let (masses, stiffnesses) = (masses?, stiffnesses?);
     let [floors, storeys] = [masses.get_ref().len(), stiffnesses.get_ref().len()];
     if floors == 0 || floors != storeys {
-        let found = format!("has {storeys} entries for {floors} masses");
+        let found = format!("has {} for {}", counted(storeys, "entry", "entries"), counted(floors, "mass", "masses"));
         let key = section.key("stiffnesses-n-per-m");
         section.diagnostics().report(stiffnesses.span(), key, found, "must have one stiffness per mass");
         return None;
     }
     if floors > LARGEST_MODEL {
-        let found = format!("has {floors} entries");
+        let found = format!("has {}", counted(floors, "entry", "entries"));
         let allowed = format!("must have at most {LARGEST_MODEL}");
         section.diagnostics().report(masses.span(), section.key("masses-kg"), found, allowed);
         return None;

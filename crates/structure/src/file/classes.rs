@@ -1,9 +1,11 @@
 //! Reads `[classes]`: which models of the structure are compared.
 
-use super::{check_unique, find_name, parameter::ParameterRead};
+use super::{check_unique, find_name, parameter::ParameterRead, read_time};
 use crate::classes::ClassesPlan;
+use crate::diagnostics::counted;
 use crate::section::{Allowed, Section};
 use spandrel_filter::{ClassPlan, FilterError, Grouping, PersistenceRule};
+use std::ops::{Range, RangeInclusive};
 use toml::Spanned;
 
 #[derive(Clone, Copy, PartialEq)]
@@ -25,33 +27,38 @@ const RULES: [(&str, PersistenceRule); 2] =
 /// More classes than this would each get a filter, and a message that shows them all grows with them.
 const MOST_CLASSES: usize = 100;
 
-/// Reads `[classes]`; without the table there is one model. `parameters` are those of the file, if all could be read.
-pub(super) fn read_classes(section: Option<Section<'_>>, parameters: Option<&[ParameterRead]>) -> Option<ClassesPlan> {
+/// Steps of a persistence: four times as many leads are remembered.
+const PERSISTENCE: RangeInclusive<usize> = 1..=ClassesPlan::MOST_PERSISTENCE_STEPS;
+
+/// Of two substructures each stands against the other: one alone is the other one alone.
+const LEAST_SUBSTRUCTURES: usize = 3;
+
+/// Reads `[classes]`; without the table there is one model. `parameters` are those of the file, if all could be read, and
+/// `rate_hz` is the structure's.
+pub(super) fn read_classes(
+    section: Option<Section<'_>>,
+    parameters: Option<&[ParameterRead]>,
+    rate_hz: Option<f64>,
+) -> Option<ClassesPlan> {
     let mut section = section?;
     let kind = section.required_choice("kind", &KINDS).map(Spanned::into_inner);
-    let floor = section.number("floor", Allowed::INSIDE_UNIT);
-    let persistence_s = section.number("persistence-s", Allowed::POSITIVE).map(Spanned::into_inner);
+    let floor = section.number("floor", Allowed::SHARE);
+    let persistence_s = read_time(&mut section, "persistence-s", rate_hz, PERSISTENCE);
     let rule = section.choice("persistence", &RULES).map(Spanned::into_inner).unwrap_or_default();
-    let reset_std = section.number_or("reset-std", Allowed::POSITIVE, ClassesPlan::RESET_STD);
+    let reset_std = read_reset_std(&mut section, kind);
     let components: Option<Vec<&str>> = parameters.map(|parameters| {
         let stiffness = parameters.iter().filter(|read| read.parameter.is_stiffness());
         stiffness.map(|read| read.parameter.name()).collect()
     });
-    let classes = section.tables("class");
-    let (declared, span) = (classes.len(), section.span());
-    if declared > MOST_CLASSES {
-        let found = format!("has {declared} entries");
-        section.diagnostics().report(
-            span.clone(),
-            section.key("class"),
-            found,
-            format!("must have at most {MOST_CLASSES}"),
-        );
+    let tables = section.tables("class");
+    if tables.len() > MOST_CLASSES {
+        let allowed = format!("must have at most {MOST_CLASSES}");
+        report(&section, section.span(), format!("has {} entries", tables.len()), &allowed);
     }
     let read: Vec<Option<Class>> =
-        classes.into_iter().map(|class| read_class(class, kind, components.as_deref())).collect();
+        tables.into_iter().map(|class| read_class(class, kind, components.as_deref())).collect();
     let plan = match (kind, components, read.into_iter().collect::<Option<Vec<_>>>()) {
-        (Some(kind), Some(components), Some(read)) => make_plan(&section, kind, &components, read),
+        (Some(kind), Some(components), Some(classes)) => make_plan(&section, kind, &components, classes),
         _ => None,
     };
     if let (Some(floor), Some((names, _))) = (&floor, &plan) {
@@ -67,16 +74,42 @@ pub(super) fn read_classes(section: Option<Section<'_>>, parameters: Option<&[Pa
     Some(ClassesPlan { names, plan, floor, persistence_s, persistence_rule: rule, reset_std })
 }
 
+fn read_reset_std(section: &mut Section<'_>, kind: Option<Kind>) -> f64 {
+    let reset_std = section.number_or("reset-std", Allowed::RATIO_DEVIATION, ClassesPlan::RESET_STD);
+    if kind == Some(Kind::Predefined) && section.contains("reset-std") {
+        let allowed = "must not be given for kind \"predefined\", which calibrates nothing";
+        section.diagnostics().report(section.span_of("reset-std"), section.key("reset-std"), "is given", allowed);
+    }
+    reset_std
+}
+
+/// Reports a mistake of a `[[classes.class]]`, or of all of them.
+fn report(section: &Section<'_>, span: Range<usize>, found: String, allowed: &str) {
+    section.diagnostics().report(span, section.key("class"), found, allowed);
+}
+
 /// A `[[classes.class]]`: its name and the components of its groups.
 struct Class {
     name: Spanned<String>,
-    groups: Vec<Vec<usize>>,
-    span: std::ops::Range<usize>,
+    groups: Vec<Vec<Spanned<usize>>>,
+    span: Range<usize>,
+}
+
+impl Class {
+    fn components(&self) -> impl Iterator<Item = &Spanned<usize>> {
+        self.groups.iter().flatten()
+    }
+
+    fn grouping(&self, components: usize) -> Result<Grouping, FilterError> {
+        let plain = |group: &Vec<Spanned<usize>>| group.iter().map(|component| *component.get_ref()).collect();
+        Grouping::new(self.groups.iter().map(plain).collect(), components)
+    }
 }
 
 fn read_class(mut section: Section<'_>, kind: Option<Kind>, components: Option<&[&str]>) -> Option<Class> {
     let name = section.required_name("name");
     let span = section.span();
+    let key = if kind == Some(Kind::Predefined) { "groups" } else { "of" };
     let lists = match kind {
         Some(Kind::Predefined) => {
             let allowed = "must list groups of stiffness parameters; those in no group share one multiplier";
@@ -92,16 +125,45 @@ fn read_class(mut section: Section<'_>, kind: Option<Kind>, components: Option<&
             None
         }
     };
-    let key = if kind == Some(Kind::Predefined) { "groups" } else { "of" };
-    let groups = lists.and_then(|lists| {
-        let components = components?;
-        let find = |name: &Spanned<String>| find_name(&section, key, name, components.iter().copied());
-        let found: Vec<Option<Vec<usize>>> =
-            lists.iter().map(|list| list.get_ref().iter().map(find).collect()).collect();
-        found.into_iter().collect::<Option<Vec<_>>>()
-    });
+    let groups = lists.and_then(|lists| read_groups(&section, key, &lists, components?));
     section.finish();
     Some(Class { name: name?, groups: groups?, span })
+}
+
+/// Finds the components of each group; a group without any and a component in two are mistakes.
+fn read_groups(
+    section: &Section<'_>,
+    key: &str,
+    lists: &[Spanned<Vec<Spanned<String>>>],
+    components: &[&str],
+) -> Option<Vec<Vec<Spanned<usize>>>> {
+    let mut taken = vec![false; components.len()];
+    let mut right = true;
+    let mut groups = Vec::with_capacity(lists.len());
+    for list in lists {
+        if list.get_ref().is_empty() {
+            let allowed = "must name at least one stiffness parameter";
+            section.diagnostics().report(list.span(), section.key(key), "has an empty list", allowed);
+            right = false;
+        }
+        let mut group = Vec::with_capacity(list.get_ref().len());
+        for name in list.get_ref() {
+            match find_name(section, key, name, components.iter().copied()) {
+                Some(component) if taken[component] => {
+                    let (found, allowed) = (format!("names \"{}\" twice", name.get_ref()), "must name it once at most");
+                    section.diagnostics().report(name.span(), section.key(key), found, allowed);
+                    right = false;
+                }
+                Some(component) => {
+                    taken[component] = true;
+                    group.push(Spanned::new(name.span(), component));
+                }
+                None => right = false,
+            }
+        }
+        groups.push(group);
+    }
+    right.then_some(groups)
 }
 
 fn make_plan(
@@ -111,38 +173,28 @@ fn make_plan(
     classes: Vec<Class>,
 ) -> Option<(Vec<String>, ClassPlan)> {
     let count = components.len();
-    let refuse = |span, found: String, allowed: &str| {
-        section.diagnostics().report(span, section.key("class"), found, allowed);
-        None::<()>
-    };
     if count < 2 {
-        let found = format!("has {count} stiffness parameters to group");
-        refuse(section.span(), found, "must have at least 2: [[parameter]] with scales = \"stiffness\"")?;
+        let found = format!("has {} to group", counted(count, "stiffness parameter", "stiffness parameters"));
+        report(section, section.span(), found, "must have at least 2: [[parameter]] with scales = \"stiffness\"");
+        return None;
     }
     let names: Vec<_> = classes.iter().map(|class| class.name.clone()).collect();
     check_unique(section, &section.key("class.name"), &names);
     if let Some(taken) = names.iter().find(|name| kind != Kind::Predefined && name.get_ref() == "baseline") {
-        refuse(taken.span(), "is \"baseline\"".to_owned(), "must not be the name of the class without any exception")?;
+        let allowed = "must not be the name of the class without any exception";
+        report(section, taken.span(), "is \"baseline\"".to_owned(), allowed);
+        return None;
     }
     let mut names: Vec<String> = names.into_iter().map(Spanned::into_inner).collect();
-    let groupings = |classes: Vec<Class>| {
-        let grouping = |class: Class| match Grouping::new(class.groups, count) {
-            Ok(grouping) => Some(grouping),
-            Err(error) => {
-                refuse(class.span, describe(&error, components), "must name each stiffness parameter once at most");
-                None
-            }
-        };
-        let read: Vec<Option<Grouping>> = classes.into_iter().map(grouping).collect();
-        read.into_iter().collect::<Option<Vec<_>>>()
-    };
     let plan = match kind {
         Kind::Predefined => {
             if classes.len() < 2 {
-                let found = format!("has {} entries", classes.len());
-                refuse(section.span(), found, "must have at least 2: one class has nothing to be compared with")?;
+                let found = format!("has {}", counted(classes.len(), "entry", "entries"));
+                let allowed = "must have at least 2: one class has nothing to be compared with";
+                report(section, section.span(), found, allowed);
+                return None;
             }
-            ClassPlan::Predefined { classes: groupings(classes)? }
+            ClassPlan::Predefined { classes: make_groupings(section, kind, count, &classes)? }
         }
         Kind::SelfCalibrating if classes.is_empty() => {
             // of two components, one alone is the other one alone
@@ -151,43 +203,78 @@ fn make_plan(
             let alone = (0..singled_out).map(|component| Grouping::apart(vec![component], count).ok());
             ClassPlan::SelfCalibrating { classes: alone.collect::<Option<_>>()? }
         }
-        Kind::SelfCalibrating => ClassPlan::SelfCalibrating { classes: groupings(classes)? },
-        Kind::Hierarchical => {
-            let listed: usize = classes.iter().flat_map(|class| &class.groups).map(Vec::len).sum();
-            if classes.len() < 2 || listed != count {
-                let found = format!("has {} substructures with {listed} stiffness parameters", classes.len());
-                let allowed = format!("must have at least 2, with each of the {count} stiffness parameters in one");
-                refuse(section.span(), found, &allowed)?;
-            }
-            let span = section.span();
-            let groups = classes.into_iter().flat_map(|class| class.groups).collect();
-            match Grouping::new(groups, count) {
-                Ok(substructures) => ClassPlan::Hierarchical { substructures },
-                Err(error) => {
-                    refuse(span, describe(&error, components), "must name each stiffness parameter once")?;
-                    return None;
-                }
-            }
+        Kind::SelfCalibrating => {
+            ClassPlan::SelfCalibrating { classes: make_groupings(section, kind, count, &classes)? }
         }
+        Kind::Hierarchical => ClassPlan::Hierarchical { substructures: make_hierarchy(section, components, &classes)? },
     };
-    if let Err(FilterError::Setting { found: class, .. }) = plan.check(count) {
-        let found = match (kind, names.get((class as usize).saturating_sub(usize::from(kind != Kind::Predefined)))) {
-            (Kind::Predefined | Kind::SelfCalibrating, Some(name)) => format!("groups \"{name}\" as another class"),
-            _ => "has classes that are the same".to_owned(),
-        };
-        let allowed = "must tell every class from the others, and from one multiplier for everything";
-        refuse(section.span(), found, allowed)?;
-    }
     Some((names, plan))
 }
 
-/// Says which component is at fault.
-fn describe(error: &FilterError, components: &[&str]) -> String {
-    match error {
-        FilterError::Setting { found, what, .. } if what.starts_with("component") => {
-            let name = components.get(*found as usize).copied().unwrap_or_default();
-            format!("names \"{name}\" twice")
+/// Makes the partition of each class; two that are alike would take turns for ever.
+fn make_groupings(section: &Section<'_>, kind: Kind, count: usize, classes: &[Class]) -> Option<Vec<Grouping>> {
+    let mut groupings: Vec<Grouping> = Vec::with_capacity(classes.len());
+    let mut right = true;
+    for class in classes {
+        let grouping = class.grouping(count).ok()?;
+        let name = class.name.get_ref();
+        if kind == Kind::SelfCalibrating && grouping.is_same_partition(&Grouping::together(count)) {
+            let found = format!("lists all {count} stiffness parameters for \"{name}\"");
+            let allowed = "must leave out at least one: all of them together are the baseline";
+            report(section, class.span.clone(), found, allowed);
+            right = false;
         }
-        _ => "has an empty group".to_owned(),
+        if let Some(earlier) = groupings.iter().position(|earlier| earlier.is_same_partition(&grouping)) {
+            let found = format!("groups \"{name}\" as \"{}\" does", classes[earlier].name.get_ref());
+            let allowed = match kind {
+                Kind::Predefined => "must tell every class from the others",
+                Kind::SelfCalibrating | Kind::Hierarchical => {
+                    "must tell every class from the others: to single parts out is to single out all others"
+                }
+            };
+            report(section, class.span.clone(), found, allowed);
+            right = false;
+        }
+        groupings.push(grouping);
     }
+    right.then_some(groupings)
 }
+
+/// Makes the partition into substructures, each with components of its own.
+fn make_hierarchy(section: &Section<'_>, components: &[&str], classes: &[Class]) -> Option<Grouping> {
+    let mut substructure_of: Vec<Option<&str>> = vec![None; components.len()];
+    let mut right = true;
+    for class in classes {
+        for component in class.components() {
+            let entry = &mut substructure_of[*component.get_ref()];
+            if let Some(other) = entry {
+                let found = format!("names \"{}\", which \"{other}\" names too", components[*component.get_ref()]);
+                let allowed = "must be in one substructure only";
+                section.diagnostics().report(component.span(), section.key("class.of"), found, allowed);
+                right = false;
+            } else {
+                *entry = Some(class.name.get_ref());
+            }
+        }
+    }
+    let alone = components.iter().zip(&substructure_of).filter(|(_, substructure)| substructure.is_none());
+    let missing: Vec<String> = alone.map(|(component, _)| format!("\"{component}\"")).collect();
+    if classes.len() < LEAST_SUBSTRUCTURES {
+        let found = format!("has {}", counted(classes.len(), "substructure", "substructures"));
+        let allowed = format!(
+            "must have at least {LEAST_SUBSTRUCTURES}: of two, one against the rest is the other against the rest"
+        );
+        report(section, section.span(), found, &allowed);
+        right = false;
+    } else if !missing.is_empty() {
+        let allowed = "must have each stiffness parameter in one substructure";
+        report(section, section.span(), format!("leaves out {}", missing.join(", ")), allowed);
+        right = false;
+    }
+    let groups = classes.iter().map(|class| class.components().map(|component| *component.get_ref()).collect());
+    let substructures = right.then(|| Grouping::new(groups.collect(), components.len()))?;
+    substructures.ok()
+}
+
+#[cfg(test)]
+mod tests;

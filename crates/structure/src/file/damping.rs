@@ -1,6 +1,7 @@
 //! Reads `[damping]`.
 
 use super::matrices::{Named, read_symmetric};
+use crate::diagnostics::counted;
 use crate::linear_system::{Damping, LARGEST_MODEL, LinearSystem, dense};
 use crate::matrix_file::{self, Unusable};
 use crate::modes::Modes;
@@ -105,7 +106,7 @@ fn read_damping_matrix(section: &mut Section<'_>, system: Option<&LinearSystem>)
     let named: Named = read_symmetric(section, section.key("file"), &file)?;
     let len = system?.len();
     if named.matrix.nrows() != len {
-        let found = format!("has {} degrees of freedom", named.matrix.nrows());
+        let found = format!("has {}", counted(named.matrix.nrows(), "degree of freedom", "degrees of freedom"));
         section.diagnostics().report(named.span, named.key, found, format!("must have {len} as the model"));
         return None;
     }

@@ -1,9 +1,9 @@
 //! Reads `[[excitation]]`.
 
+use super::check_unique;
 use super::matrices::beside;
 use super::node::{ChannelRead, degree_of_freedom};
-use super::{check_unique, find_name};
-use crate::diagnostics::one_of;
+use crate::diagnostics::{counted, one_of};
 use crate::excitation::{Action, Excitation, Measured};
 use crate::linear_system::LinearSystem;
 use crate::matrix_file::{self, Unusable};
@@ -148,7 +148,7 @@ fn read_influence(section: &mut Section<'_>, system: Option<&LinearSystem>) -> O
     };
     let len = system?.len();
     if influence.len() != len || influence.iter().all(|entry| *entry == 0.0) {
-        let found = format!("has {} entries", influence.len());
+        let found = format!("has {}", counted(influence.len(), "entry", "entries"));
         let allowed = format!("must have {len}, one per degree of freedom, not all zero");
         section.diagnostics().report(span, section.key(key), found, allowed);
         return None;
@@ -162,20 +162,28 @@ fn read_measured(
     channel: &Spanned<String>,
     channels: &[ChannelRead],
 ) -> Option<Measured> {
-    let names = channels.iter().map(|read| read.channel.name.as_str());
-    let index = find_name(section, "measured-on", channel, names)?;
-    let measuring = &channels[index].channel;
     let expected = match kind? {
         Kind::Ground => Quantity::GroundAcceleration,
         Kind::Force => Quantity::Force,
     };
-    if measuring.quantity != expected {
-        let found = format!("is \"{}\", a channel of {}", channel.get_ref(), measuring.quantity);
-        let allowed = format!("must be a channel of {expected}");
-        section.diagnostics().report(channel.span(), section.key("measured-on"), found, allowed);
-        return None;
+    let named = channels.iter().position(|read| read.channel.name == *channel.get_ref());
+    let measuring = named.map(|index| &channels[index].channel);
+    match (named, measuring) {
+        (Some(index), Some(measuring)) if measuring.quantity == expected => {
+            Some(Measured { channel: index, noise_std: measuring.noise_std })
+        }
+        _ => {
+            let of = measuring.map_or_else(String::new, |other| format!(", a channel of {}", other.quantity));
+            let right = channels.iter().filter(|read| read.channel.quantity == expected);
+            let allowed = match &right.map(|read| read.channel.name.as_str()).collect::<Vec<_>>()[..] {
+                [] => format!("must be a channel of {expected}, of which none is declared"),
+                right => format!("must be a channel of {expected}: {}", right.join(", ")),
+            };
+            let found = format!("is \"{}\"{of}", channel.get_ref());
+            section.diagnostics().report(channel.span(), section.key("measured-on"), found, allowed);
+            None
+        }
     }
-    Some(Measured { channel: index, noise_std: measuring.noise_std })
 }
 
 /// A channel that measures an excitation must belong to one, and to one only.

@@ -1,6 +1,7 @@
 //! Reads the kind `matrices` of `[model]`: what a finite element program exports, in Matrix Market files.
 
 use super::check_unique;
+use crate::diagnostics::counted;
 use crate::linear_system::{Damping, LinearSystem, Mass, Substructure, dense};
 use crate::matrix_file::{self, Unusable};
 use crate::section::{Section, is_name};
@@ -35,7 +36,7 @@ pub(super) fn read_matrices(section: &mut Section<'_>) -> Option<LinearSystem> {
     let mut agree = true;
     for (_, part) in &parts {
         if part.matrix.nrows() != len {
-            let found = format!("has {} degrees of freedom", part.matrix.nrows());
+            let found = format!("has {}", counted(part.matrix.nrows(), "degree of freedom", "degrees of freedom"));
             let allowed = format!("must have {len} as the mass matrix");
             section.diagnostics().report(part.span.clone(), &part.key, found, allowed);
             agree = false;
@@ -46,7 +47,7 @@ pub(super) fn read_matrices(section: &mut Section<'_>) -> Option<LinearSystem> {
         Some(names) => {
             let found = names.get_ref().len();
             if found != len {
-                let found = format!("has {found} entries");
+                let found = format!("has {}", counted(found, "entry", "entries"));
                 let allowed = format!("must have {len}, one per degree of freedom");
                 section.diagnostics().report(names.span(), section.key("degrees-of-freedom"), found, allowed);
                 agree = false;

@@ -1,6 +1,7 @@
 //! Reads the kinds `frame` and `truss` of `[model]`: nodes, members in groups, and supports.
 
 use super::{check_unique, find_name};
+use crate::diagnostics::counted;
 use crate::linear_system::{LARGEST_MODEL, LinearSystem};
 use crate::matrix_file;
 use crate::mesh::{MassForm, MemberGroup, MemberSection, Mesh, MeshNode};
@@ -295,7 +296,7 @@ fn check_members(section: &Section<'_>, mesh: &Mesh) -> Option<()> {
     let len = mesh.free_len();
     if len == 0 || len > LARGEST_MODEL {
         let allowed = format!("must have from 1 to {LARGEST_MODEL}");
-        return report("nodes", format!("has {len} degrees of freedom"), &allowed);
+        return report("nodes", format!("has {}", counted(len, "degree of freedom", "degrees of freedom")), &allowed);
     }
     Some(())
 }

@@ -1,6 +1,7 @@
 //! Reads `[[node]]` with its channels.
 
 use super::check_unique;
+use crate::diagnostics::{counted, one_of};
 use crate::linear_system::LinearSystem;
 use crate::node::{Channel, Node, Quantity};
 use crate::section::{Allowed, NumberOrName, Section};
@@ -136,7 +137,8 @@ fn read_sensed(
             let (dofs, coefficients) = (dofs?, coefficients?);
             let [terms, factors] = [dofs.get_ref().len(), coefficients.get_ref().len()];
             if terms != factors || terms == 0 {
-                let found = format!("has {factors} entries for {terms} degrees of freedom");
+                let terms = counted(terms, "degree of freedom", "degrees of freedom");
+                let found = format!("has {} for {terms}", counted(factors, "entry", "entries"));
                 let key = section.key("coefficients");
                 section.diagnostics().report(coefficients.span(), key, found, "must have one per degree of freedom");
                 return None;
@@ -172,7 +174,7 @@ pub(super) fn degree_of_freedom(
     if index.is_none() {
         let hint = match dof.get_ref() {
             NumberOrName::Number(_) => format!("must be from 1 to {}", names.len()),
-            NumberOrName::Name(name) => crate::diagnostics::one_of(name, names.iter().map(String::as_str)),
+            NumberOrName::Name(name) => one_of(name, names.iter().map(String::as_str)),
         };
         section.diagnostics().report(dof.span(), section.key(key), found, hint);
     }

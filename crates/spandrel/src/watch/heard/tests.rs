@@ -162,6 +162,20 @@ fn events_are_newest_first_and_bounded() {
 }
 
 #[test]
+fn changes_of_classes_do_not_push_the_event_of_a_sensor_out() {
+    let change = |number: usize, kind| {
+        let mut change = event(&format!("class {number} leads"), "");
+        (change.kind, change.subject) = (kind, "identify".to_owned());
+        Input::Event(change)
+    };
+    let changes =
+        (0..300).flat_map(|number| [change(number, EventKind::LeadingClass), change(number, EventKind::Calibration)]);
+    let heard = heard(std::iter::once(Input::Event(event("the sensor is faulty", ""))).chain(changes));
+    let told: Vec<&str> = heard.events().map(|event| event.what.as_str()).collect();
+    assert_eq!(told, ["class 299 leads", "class 299 leads", "the sensor is faulty"]);
+}
+
+#[test]
 fn more_structures_than_there_is_room_for_are_counted() {
     let of = |number: usize| {
         let mut display = parameter("storey-1", 0, 1.0, 0.1);

@@ -20,6 +20,14 @@ fn mistakes_after(text: &str, replaced: &str, by: &str) -> Vec<String> {
 }
 
 #[test]
+fn storeys_given_both_singly_and_as_equal_ones_are_one_mistake() {
+    let mixed = "masses-kg = [1e5, 1e5]\nfirst-frequency-hz = 1.0\n";
+    let found = mistakes_after(DEMO, "first-frequency-hz = 1.0\n", mixed);
+    let [one] = &found[..] else { panic!("{found:?}") };
+    assert!(one.starts_with("model.storeys: is given beside masses-kg, must give either masses-kg and"), "{one}");
+}
+
+#[test]
 fn a_group_of_storeys_is_one_substructure() {
     let grouped = read(BOUC_WEN).unwrap();
     let names: Vec<&str> = grouped.system.substructures.iter().map(|part| part.name.as_str()).collect();
@@ -113,7 +121,7 @@ fn dashpots_belong_to_storeys() {
     );
     assert_eq!(
         mistakes_after(DASHPOTS, "coefficients-n-s-per-m = 600e3", "coefficients-n-s-per-m = [600e3]"),
-        ["damping.coefficients-n-s-per-m: has 1 entries, must have 4"]
+        ["damping.coefficients-n-s-per-m: has 1 entry, must have 4"]
     );
     assert_eq!(
         mistakes_after(DEMO, "scales = \"stiffness\"", "scales = \"damping\""),

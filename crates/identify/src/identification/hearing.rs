@@ -1,0 +1,122 @@
+//! Whether the excitations that should be measured are.
+
+/// How many frames on end mean something.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Spans {
+    /// An excitation without samples for so long is silent, and one that is back is trusted after as long.
+    pub(super) long: u64,
+    /// A sample that has repeated itself so often comes of a sensor that is stuck.
+    pub(super) stuck: u64,
+}
+
+/// Whether samples of an excitation that should be measured come, and measure something.
+#[derive(Debug, Clone)]
+pub(super) struct Hearing {
+    /// zero is a measurement, however often it comes
+    may_rest: bool,
+    /// one has ever come
+    known: bool,
+    /// frames without one on end, and frames with one on end
+    silent: u64,
+    heard: u64,
+    /// the last sample, and how often it has repeated itself to the bit while the structure moved
+    last: f64,
+    repeats: u64,
+    /// it has been silent for long or was stuck, and was not yet heard for long again
+    lost: bool,
+}
+
+/// A change of [`Hearing`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Heard {
+    Silent,
+    Stuck,
+    Again,
+}
+
+impl Hearing {
+    pub(super) fn new(may_rest: bool) -> Self {
+        Self { may_rest, known: false, silent: 0, heard: 0, last: f64::NAN, repeats: 0, lost: false }
+    }
+
+    /// Takes the sample of a frame as it came, NaN where there was none, and whether any response has moved.
+    ///
+    /// `None` is an excitation that nobody measures: nothing ever changes for it.
+    pub(super) fn take(&mut self, value: Option<f64>, moves: bool, spans: Spans) -> Option<Heard> {
+        let value = value?;
+        self.count_repeats(value, moves);
+        let is_heard = !value.is_nan() && !self.is_stuck(spans);
+        self.known |= is_heard;
+        (self.silent, self.heard) = if is_heard { (0, self.heard + 1) } else { (self.silent + 1, 0) };
+        if !self.lost && (self.is_stuck(spans) || self.silent >= spans.long) {
+            self.lost = true;
+            return Some(if self.is_stuck(spans) { Heard::Stuck } else { Heard::Silent });
+        }
+        if self.lost && self.heard >= spans.long {
+            self.lost = false;
+            return Some(Heard::Again);
+        }
+        None
+    }
+
+    fn count_repeats(&mut self, value: f64, moves: bool) {
+        if value.is_nan() {
+            return; // a slower node, or a gap: neither a repetition nor a new value
+        }
+        if value.to_bits() != self.last.to_bits() || (self.may_rest && value == 0.0) {
+            self.repeats = 0;
+            self.last = value;
+        } else if moves {
+            self.repeats += 1;
+        }
+    }
+
+    /// Whether the last sample has repeated itself too often to be one.
+    pub(super) fn is_stuck(&self, spans: Spans) -> bool {
+        self.repeats >= spans.stuck
+    }
+
+    /// Before the first sample nobody knows how strong the excitation is; later the filter knows how strong it has been.
+    pub(super) fn is_silent(&self) -> bool {
+        self.lost || (!self.known && self.silent > 0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SPANS: Spans = Spans { long: 10, stuck: 5 };
+
+    /// Takes samples while the structure moves, and returns what changed at which of them.
+    fn changes(hearing: &mut Hearing, values: impl IntoIterator<Item = f64>, moves: bool) -> Vec<(usize, Heard)> {
+        let changes = values.into_iter().map(|value| hearing.take(Some(value), moves, SPANS)).enumerate();
+        changes.filter_map(|(index, change)| Some((index, change?))).collect()
+    }
+
+    #[test]
+    fn sample_that_repeats_itself_is_stuck_until_it_has_been_heard_for_long() {
+        let mut hearing = Hearing::new(false);
+        assert_eq!(changes(&mut hearing, [1.0, 2.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0], true), [(7, Heard::Stuck)]);
+        assert!(hearing.is_silent() && hearing.is_stuck(SPANS));
+        assert_eq!(changes(&mut hearing, (0..12).map(f64::from), true), [(9, Heard::Again)]);
+        assert!(!hearing.is_silent());
+    }
+
+    #[test]
+    fn nothing_is_stuck_while_nothing_moves_nor_a_force_that_rests() {
+        assert_eq!(changes(&mut Hearing::new(false), [0.5; 30], false), []);
+        assert_eq!(changes(&mut Hearing::new(true), [0.0; 30], true), []);
+        assert_eq!(changes(&mut Hearing::new(true), [0.5; 30], true), [(5, Heard::Stuck)]);
+        assert_eq!(Hearing::new(false).take(None, true, SPANS), None);
+    }
+
+    #[test]
+    fn gaps_neither_hide_a_stuck_sensor_nor_make_one() {
+        let slow = |value: f64| [value, f64::NAN];
+        let stuck = std::iter::repeat_with(|| slow(2.0)).take(6).flatten();
+        assert_eq!(changes(&mut Hearing::new(false), stuck, true), [(10, Heard::Stuck)]);
+        let moving = (0..20).map(f64::from).flat_map(slow);
+        assert_eq!(changes(&mut Hearing::new(false), moving, true), []);
+    }
+}

@@ -1,0 +1,107 @@
+//! A distributed structure without a bus: its nodes and its station pass their messages on by hand, to the same bits.
+
+use crate::error::AppError;
+use crate::summary::Collector;
+use spandrel_alert::{Baseline, Watch};
+use spandrel_bus::{EstimateBlock, LocalMessage};
+use spandrel_fuse::{Fusion, Input, Output};
+use spandrel_identify::{NodeIdentification, NodeInput, NodeOutput};
+use spandrel_record::RecordError;
+use spandrel_sensor::{Clocks, Cutter, NodePlan, Row, SensorError};
+use spandrel_structure::Structure;
+use std::collections::VecDeque;
+
+/// Samples per block, as of a node at full speed.
+const BLOCK_SAMPLES: u64 = 128;
+
+/// Identifies rows of a record as the nodes of a distributed structure and their station would, and decides on alerts.
+///
+/// `take` gets the fused estimates in order. Returns what was collected on the way.
+///
+/// # Errors
+/// When the structure cannot be identified by its nodes, the record cannot be read, or `take` fails.
+pub fn fuse(
+    structure: &Structure,
+    rows: impl Iterator<Item = Result<Row, RecordError>>,
+    baseline: Option<&Baseline>,
+    mut take: impl FnMut(&EstimateBlock) -> Result<(), AppError>,
+) -> Result<Collector, AppError> {
+    const EPOCH: u64 = 1;
+    let plans = NodePlan::of(structure, Clocks::Right).map_err(SensorError::from)?;
+    let workers = (0..plans.len()).map(|position| NodeIdentification::new(structure, position, EPOCH));
+    let mut network = Network {
+        fusion: Fusion::new(structure, "fuse", EPOCH)?,
+        workers: workers.collect::<Result<_, _>>()?,
+        watch: Watch::new(structure, baseline)?,
+        collector: Collector::new(structure),
+        start_ns: None,
+        local: VecDeque::new(),
+    };
+    network.fusion.handle(Input::Present(vec![true; plans.len()]), &mut Vec::new());
+    let mut cutter = Cutter::new(plans, EPOCH, BLOCK_SAMPLES);
+    let mut samples = Vec::new();
+    for row in rows {
+        let row = row?;
+        network.start_ns.get_or_insert(row.time_ns);
+        cutter.push(row.time_ns, &row.values, &mut samples);
+        for (node, block) in samples.drain(..) {
+            network.work(node, NodeInput::Samples(block));
+            network.settle(&mut take)?;
+        }
+    }
+    cutter.end(&mut samples);
+    for (node, block) in samples {
+        network.work(node, NodeInput::Samples(block));
+        network.settle(&mut take)?;
+    }
+    Ok(network.collector)
+}
+
+/// The nodes and the station without a bus between them.
+struct Network {
+    fusion: Fusion,
+    workers: Vec<NodeIdentification>,
+    watch: Watch,
+    collector: Collector,
+    /// time of the first sample
+    start_ns: Option<i64>,
+    /// messages on their way to the station
+    local: VecDeque<(usize, LocalMessage)>,
+}
+
+impl Network {
+    fn work(&mut self, node: usize, input: NodeInput) {
+        let mut outputs = Vec::new();
+        self.workers[node].handle(input, &mut outputs);
+        for output in outputs {
+            match output {
+                NodeOutput::Local(message) => self.local.push_back((node, message)),
+                NodeOutput::Event(event) => spandrel_identify::log_event(&event, self.start_ns),
+            }
+        }
+    }
+
+    /// Passes messages on until nothing is on its way.
+    fn settle(&mut self, take: &mut impl FnMut(&EstimateBlock) -> Result<(), AppError>) -> Result<(), AppError> {
+        while let Some((node, message)) = self.local.pop_front() {
+            let arrived_ns = message.header.time_ns;
+            let mut outputs = Vec::new();
+            self.fusion.handle(Input::Local { node, message, bytes: 0, arrived_ns }, &mut outputs);
+            for output in outputs {
+                match output {
+                    Output::Estimates(block) => {
+                        let mut alerts = Vec::new();
+                        self.watch.handle_block(&block, &mut alerts)?;
+                        self.collector.take_estimates(&block);
+                        alerts.iter().for_each(|alert| self.collector.take_alert(alert));
+                        take(&block)?;
+                    }
+                    Output::Feedback(node, feedback) => self.work(node, NodeInput::Feedback(feedback)),
+                    Output::Event(event) => spandrel_identify::log_event(&event, self.start_ns),
+                    Output::Parameter(_) | Output::Node(_) => {} // for people who watch a bus
+                }
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,83 @@
+//! The adapted noise levels, beside what the structure file states.
+
+use super::Level;
+use serde::Serialize;
+use spandrel_structure::{NoiseSource, Structure};
+
+/// A level found so many times larger (standard deviations) than stated is no matter of the noise.
+const SUSPECT: f64 = 5.0;
+
+/// An adapted noise level as the structure file states it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StatedLevel {
+    pub name: String,
+    /// Standard deviation (`unit`).
+    std: f64,
+    unit: &'static str,
+    is_excitation: bool,
+}
+
+/// An adapted noise level at the end.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct NoiseLevelSummary {
+    /// Mean and standard deviation of the variance (`unit`²).
+    #[serde(flatten)]
+    pub variance: Level,
+    /// Standard deviation of the noise that was found (`unit`).
+    pub found_std: f64,
+    /// Standard deviation that the structure file states (`unit`).
+    pub stated_std: f64,
+    /// The one as a multiple of the other.
+    pub ratio: f64,
+    /// Unit of its source.
+    pub unit: &'static str,
+}
+
+impl StatedLevel {
+    /// Returns the adapted levels of a structure, in the order of the estimates.
+    pub fn adapted_of(structure: &Structure) -> Vec<Self> {
+        let adapted = structure.noise_levels().iter().filter(|level| level.is_adapted());
+        let stated = adapted.map(|level| Self {
+            name: level.name().to_owned(),
+            std: level.std(),
+            unit: structure.noise_unit(level),
+            is_excitation: matches!(level.source(), NoiseSource::Excitation(_)),
+        });
+        stated.collect()
+    }
+
+    /// Compares with what was found; `variance` as it was estimated (`unit`²).
+    pub fn found(&self, variance: Level) -> NoiseLevelSummary {
+        let found_std = variance.mean.max(0.0).sqrt();
+        NoiseLevelSummary { variance, found_std, stated_std: self.std, ratio: found_std / self.std, unit: self.unit }
+    }
+
+    /// Says what a level that was found far above the stated one may mean.
+    pub fn warning(&self, found: &NoiseLevelSummary) -> Option<String> {
+        let causes = match self.is_excitation {
+            true => "an excitation stronger than stated, a channel of wrong sign or unit, or a model that does not fit",
+            false => "a channel swapped, of wrong sign or unit, or a model that does not fit",
+        };
+        let Self { name, .. } = self;
+        let told = || format!("noise of {name} is {:.0} times what the file states: {causes}", found.ratio);
+        (found.ratio > SUSPECT).then(told)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn floors(found_std: f64) -> Option<String> {
+        let stated = StatedLevel { name: "floors".to_owned(), std: 0.005, unit: "m/s2", is_excitation: false };
+        stated.warning(&stated.found(Level { mean: found_std * found_std, std: 0.0 }))
+    }
+
+    #[test]
+    fn noise_far_above_the_stated_one_is_warned_of() {
+        assert_eq!(floors(0.02), None);
+        let told = "noise of floors is 28 times what the file states: a channel swapped, of wrong sign or unit, or a model \
+                    that does not fit";
+        assert_eq!(floors(0.14).as_deref(), Some(told));
+    }
+}

@@ -1,0 +1,118 @@
+//! The summary as people read it.
+
+use crate::commands::counted;
+
+use super::{ClassSummary, NoiseLevelSummary, Samples, Summary};
+use std::fmt::{self, Display, Write as _};
+
+/// Classes, leads and calibrations that are listed; JSON has all.
+const LISTED: usize = 8;
+
+impl Summary {
+    /// Writes the summary for people.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        // writing to a String does not fail
+        let _ = self.write(&mut text);
+        text
+    }
+
+    fn write(&self, text: &mut String) -> fmt::Result {
+        writeln!(text, "{} identified", counted(self.frames as usize, "frame", "frames"))?;
+        if let Some(Samples { missing, discarded }) = &self.samples {
+            for (what, counts) in [("missing samples", missing), ("discarded", discarded)] {
+                if !counts.is_empty() {
+                    let counts: Vec<String> = counts.iter().map(|(name, count)| format!("{name} {count}")).collect();
+                    writeln!(text, "  {what}: {}", counts.join(", "))?;
+                }
+            }
+        }
+        if let Some(share) = self.effective_share {
+            writeln!(text, "  {:.0} % of the particles counted on average", 100.0 * share)?;
+        }
+        for (name, level) in self.parameters.iter() {
+            writeln!(text, "  {name:<24} {:.4} ± {:.4}", level.mean, level.std)?;
+        }
+        self.write_noise(text)?;
+        if let Some(classes) = &self.classes {
+            write_classes(classes, text)?;
+        }
+        for warning in &self.warnings {
+            writeln!(text, "warning: {warning}")?;
+        }
+        if self.alerts.is_empty() {
+            text.push_str("no alert\n");
+        }
+        for alert in &self.alerts {
+            writeln!(text, "{:>9.2} s  {}: {}", alert.time_s, alert.state.as_str(), alert.why)?;
+        }
+        Ok(())
+    }
+
+    fn write_noise(&self, text: &mut String) -> fmt::Result {
+        let mut adapts = false;
+        for (name, level) in self.noise.iter() {
+            let NoiseLevelSummary { found_std, stated_std, ratio, unit, .. } = level;
+            let unit = if *unit == "1" { String::new() } else { format!(" {unit}") };
+            writeln!(
+                text,
+                "  noise of {name:<15} {found_std:.3e}{unit}, {ratio:.2} times the {stated_std:.3e}{unit} of the file (standard \
+                 deviations)"
+            )?;
+            adapts = true;
+        }
+        match (self.misfit, adapts) {
+            (None, _) => Ok(()),
+            (Some(misfit), false) => {
+                writeln!(text, "  normalised innovation squared {misfit:.2} per channel (1 when the model fits)")
+            }
+            (Some(misfit), true) => writeln!(
+                text,
+                "  normalised innovation squared {misfit:.2} per channel (1 when the noise that was found explains the data, \
+                 also of a\n  model that does not fit: compare the noise with that of the file)"
+            ),
+        }
+    }
+}
+
+fn write_classes(summary: &ClassSummary, text: &mut String) -> fmt::Result {
+    let ClassSummary { leading, classes, leads, calibrations } = summary;
+    let mut ranked: Vec<_> = classes.iter().collect();
+    ranked.sort_by(|a, b| b.plausibility.total_cmp(&a.plausibility));
+    let plausibilities = ranked.iter().map(|class| format!("{} {}", class.class, plausibility(class.plausibility)));
+    writeln!(text, "  class {leading} leads; plausibilities: {}", listed(plausibilities, "less plausible"))?;
+    // the latest are what people look for
+    let leads = leads.iter().rev().map(|lead| format!("{} from {:.2} s", lead.class, lead.time_s));
+    writeln!(text, "  leads that lasted, the latest first: {}", listed(leads, "before"))?;
+    if calibrations.is_empty() {
+        return Ok(());
+    }
+    let calibrations = calibrations
+        .iter()
+        .rev()
+        .map(|by| format!("{} by {:+.1} % at {:.2} s", by.class, 100.0 * by.change, by.time_s));
+    writeln!(text, "  calibrations, the latest first: {}", listed(calibrations, "before"))
+}
+
+/// Writes the first of several things, and how many more there are.
+fn listed(things: impl ExactSizeIterator<Item = impl Display>, others: &str) -> String {
+    let more = things.len().saturating_sub(LISTED);
+    let mut text = String::new();
+    for (index, thing) in things.take(LISTED).enumerate() {
+        // writing to a String does not fail
+        let _ = write!(text, "{}{thing}", if index == 0 { "" } else { ", " });
+    }
+    if more > 0 {
+        let _ = write!(text, ", and {more} {others}");
+    }
+    text
+}
+
+/// Writes a plausibility; those near 0 and 1 are told apart from impossible and certain.
+fn plausibility(value: f64) -> String {
+    match value {
+        small if small < 0.001 => "below 0.001".to_owned(),
+        large if large > 0.999 => "above 0.999".to_owned(),
+        other => format!("{other:.3}"),
+    }
+}
