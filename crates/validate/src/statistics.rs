@@ -85,6 +85,11 @@ impl Accuracy {
         self.inside / self.count
     }
 
+    /// Distance of the mean estimate from the mean truth, in mean deviations: above 3 the interval misses the truth.
+    pub(crate) fn bias(&self) -> f64 {
+        (self.estimate - self.truth).abs() / self.std
+    }
+
     /// Correlation of estimate and truth.
     pub(crate) fn correlation(&self) -> f64 {
         let centred = |sum: f64, a: f64, b: f64| sum - a * b / self.count;

@@ -82,8 +82,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                     named(&format!("its stated deviation along {direction}")),
                     course.std(settled_s, seconds),
                     Required::Reported,
-                )
-                .published(2e-4),
+                ),
             ]);
         }
         let names = ["displacement along x", "displacement along y", "velocity along x", "velocity along y"];
