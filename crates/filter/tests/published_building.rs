@@ -166,7 +166,7 @@ fn one_strength_of_the_first_mode_gives_all_six_deviations() {
     let covariance = stationary_covariance(&model);
     let modes = Chain::new(FLOORS, 1632.0).matrix().symmetric_eigen();
     let shape = modes.eigenvectors.column(modes.eigenvalues.imin());
-    let onto_shape = &shape * shape.transpose();
+    let onto_shape = shape * shape.transpose();
     let mut projection = DMatrix::zeros(2 * FLOORS, 2 * FLOORS);
     projection.view_mut((0, 0), (FLOORS, FLOORS)).copy_from(&onto_shape);
     projection.view_mut((FLOORS, FLOORS), (FLOORS, FLOORS)).copy_from(&onto_shape);

@@ -319,16 +319,19 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
             }
             let course = &parameters[j];
             let truth = if j < GROUPS { stiffness(from, times.damage)[j] } else { 1.0 };
+            // the shortened record ends while the last tenth of a drop is still to be seen
+            let is_on_its_way = DAMAGED.contains(&j) && from > times.damage[0];
+            let settled = |required| if is_on_its_way { full(required) } else { required };
             figures.extend([
                 Figure::new(
                     format!("{name}: distance of the mean from the truth in deviations, {from} to {to} s"),
                     (course.mean(from, to) - truth).abs() / course.std(from, to),
-                    full(Required::AtMost(3.0)),
+                    settled(Required::AtMost(3.0)),
                 ),
                 Figure::new(
                     format!("{name}: share inside 3 sd, {from} to {to} s"),
                     inside,
-                    full(Required::AtLeast(0.95)),
+                    settled(Required::AtLeast(0.95)),
                 ),
             ]);
         }
