@@ -224,7 +224,7 @@ fn hysteretic_oscillator_is_followed_with_its_parameters() {
             assert!(found[j].0 <= 0.12, "seed {seed}: relative error of {name} is {}", found[j].0);
         }
         for (j, name) in [(0, "velocity"), (1, "force"), (2, "θ₁"), (4, "θ₃"), (6, "h")] {
-            assert!(found[j].1 >= 0.85, "seed {seed}: coverage of {name} is {}", found[j].1);
+            assert!(found[j].1 >= 0.89, "seed {seed}: coverage of {name} is {}", found[j].1);
         }
         assert!((25..=40).contains(&resampled), "seed {seed}: resampled {resampled} times");
         assert!((0.38..0.50).contains(&effective), "seed {seed}: mean N_eff/N is {effective}");
@@ -236,9 +236,12 @@ const WARM: usize = 50;
 
 #[test]
 fn drifting_building_is_followed_through_a_loss_that_the_model_does_not_know() {
-    // §5 checks 5, 6 and 7
+    // §5 checks 5, 6 and 7. With 2000 particles single records scatter: of a storey that loses much by drift the error is 0.14,
+    // which falls to 0.11 with 8000 or 32 000 of them; what the page has of its record is judged in the mean over three
     use drifting_building::{DAMPING, NOISE, Record, STIFFNESS, STOREYS};
-    for seed in [1, 2, 3] {
+    const SEEDS: [u64; 3] = [1, 2, 3];
+    let (mut mean_errors, mut mean_noise, mut mean_second) = ([0.0; STOREYS], 0.0, [0.0; 3]);
+    for seed in SEEDS {
         let record = Record::simulate(seed, 1000);
         let (mean, covariance) = record.prior();
         let mut warm = NumericalEkf::new(record.model().unwrap(), mean, covariance);
@@ -272,21 +275,28 @@ fn drifting_building_is_followed_through_a_loss_that_the_model_does_not_know() {
         let second = |k: usize| tracks[1].estimates[k - WARM - 1];
         println!("k₂ {:.1?} at 10 s, {:.1?} at 15 s, {:.1?} at 20 s", second(500), second(750), second(1000));
 
-        // the source's record is followed to 0.12 and its second storey to [137, 172]; a storey that happens to lose much of its
-        // stiffness by drift is followed a little worse
-        assert!(stiffness.iter().all(|(error, _)| *error <= 0.15), "relative errors of stiffness {stiffness:.3?}");
-        let coverage = stiffness.iter().map(|(_, coverage)| coverage).sum::<f64>() / STOREYS as f64;
-        assert!(coverage >= 0.85, "coverage of stiffness {coverage}");
-        for k in [500, 750, 1000] {
-            let (mean, low, high) = second(k);
-            assert!((130.0..180.0).contains(&mean) && low < 155.0 && high > 145.0, "{mean} [{low}, {high}]");
+        for (sum, (error, _)) in mean_errors.iter_mut().zip(stiffness) {
+            *sum += error / SEEDS.len() as f64;
         }
+        let coverage = stiffness.iter().map(|(_, coverage)| coverage).sum::<f64>() / STOREYS as f64;
+        assert!(coverage >= 0.85, "seed {seed}: coverage of stiffness {coverage}");
+        for (sum, k) in mean_second.iter_mut().zip([500, 750, 1000]) {
+            let (mean, low, high) = second(k);
+            assert!(low < 155.0 && high > 145.0, "seed {seed}: {mean} [{low}, {high}]");
+            *sum += mean / SEEDS.len() as f64;
+        }
+        mean_noise += noise.iter().map(|(error, _)| error).sum::<f64>() / (STOREYS * SEEDS.len()) as f64;
         let worst = |tracks: &[(f64, f64)]| tracks.iter().fold(0.0_f64, |worst, track| worst.max(track.0));
         assert!(worst(damping) > worst(stiffness), "damping is less accurate than stiffness");
-        assert!(worst(noise) <= 0.21, "relative errors of the noise levels {noise:.3?}");
         assert!(roof[0].0 <= 0.06, "relative error of the roof displacement {}", roof[0].0);
         assert!((300..=420).contains(&resampled), "resampled {resampled} times");
         assert!((0.27..0.36).contains(&effective), "mean N_eff/N {effective}");
         assert!(ancestors <= 3, "{ancestors} ancestors");
     }
+    println!("means: k {mean_errors:.3?}, σ {mean_noise:.3}, k₂ {mean_second:.1?}");
+    assert!(mean_errors.iter().all(|error| *error <= 0.12), "relative errors of stiffness {mean_errors:.3?}");
+    assert!((0.07..=0.14).contains(&mean_noise), "relative error of the noise levels {mean_noise}");
+    let [at_the_loss, later @ ..] = mean_second;
+    assert!((137.0..=172.0).contains(&at_the_loss), "k₂ right after its loss {at_the_loss}");
+    assert!(later.iter().all(|mean| (150.0..=158.0).contains(mean)), "k₂ afterwards {later:.1?}");
 }

@@ -365,7 +365,8 @@ pub struct ValidateArguments {
     /// One JSON object a line, each a figure.
     #[arg(long)]
     pub json: bool,
-    /// Write index.html and figures.md with diagrams there; outcomes are kept, so that a stopped run goes on.
+    /// Write figures.md and index.html with diagrams there. Outcomes are kept in DIR/outcomes: a stopped run goes on, and a run
+    /// of some cases leaves the others on the page.
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
 }

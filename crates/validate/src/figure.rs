@@ -39,7 +39,8 @@ impl Required {
     #[must_use]
     pub fn holds(&self, measured: f64) -> bool {
         match *self {
-            Self::Within { of, by } => (measured - of).abs() <= by,
+            // the end itself holds, also where the difference is rounded up: 1.03 is within 1 ± 0.03
+            Self::Within { of, by } => (measured - of).abs() <= by + 2.0 * f64::EPSILON * of.abs(),
             Self::Between { low, high } => (low..=high).contains(&measured),
             Self::AtLeast(least) => measured >= least,
             Self::AtMost(most) => measured <= most,
@@ -51,7 +52,8 @@ impl Required {
 impl std::fmt::Display for Required {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match *self {
-            Self::Within { of, by } => write!(formatter, "{} ± {}", number(of), number(by)),
+            // a value that is required to a part in 10⁵ has to be seen to that part
+            Self::Within { of, by } => write!(formatter, "{} ± {}", measured_number(of, self), number(by)),
             Self::Between { low, high } => write!(formatter, "{} to {}", number(low), number(high)),
             Self::AtLeast(least) => write!(formatter, "≥ {}", number(least)),
             Self::AtMost(most) => write!(formatter, "≤ {}", number(most)),
@@ -60,17 +62,49 @@ impl std::fmt::Display for Required {
     }
 }
 
+/// Significant digits of a number when nothing asks for more.
+const DIGITS: usize = 4;
+/// Significant digits that a number has at most.
+const MOST_DIGITS: usize = 15;
+
 /// Writes a number with four significant digits, in powers of ten where it is very small or large.
 pub(crate) fn number(value: f64) -> String {
+    with_digits(value, DIGITS)
+}
+
+/// Writes a measured number with as many digits as decide whether it is what is required: its last one is a tenth of the
+/// allowed distance or less, and what is printed holds if and only if the number does.
+pub(crate) fn measured_number(value: f64, required: &Required) -> String {
+    let decides = |text: &String| {
+        let printed = text.parse::<f64>().unwrap_or(f64::NAN);
+        let fine = match *required {
+            Required::Within { by, .. } => by == 0.0 || (printed - value).abs() <= 0.05 * by,
+            Required::Between { low, high } => (printed - value).abs() <= 0.05 * (high - low),
+            Required::AtLeast(_) | Required::AtMost(_) | Required::Reported => true,
+        };
+        fine && required.holds(printed) == required.holds(value)
+    };
+    let texts = (DIGITS..MOST_DIGITS).map(|digits| with_digits(value, digits));
+    texts.into_iter().find(decides).unwrap_or_else(|| with_digits(value, MOST_DIGITS))
+}
+
+fn with_digits(value: f64, digits: usize) -> String {
     let magnitude = value.abs();
-    if value == 0.0 {
-        "0".to_owned()
-    } else if !value.is_finite() || !(1e-3..1e5).contains(&magnitude) {
-        format!("{value:.3e}")
+    let trimmed = |text: &str| match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text.to_owned(),
+    };
+    if value == 0.0 || !value.is_finite() {
+        format!("{value}")
+    } else if (1e-3..1e5).contains(&magnitude) {
+        let decimals = (digits as i32 - 1 - magnitude.log10().floor() as i32).max(0) as usize;
+        trimmed(&format!("{value:.decimals$}"))
     } else {
-        let digits = (3 - magnitude.log10().floor() as i32).max(0) as usize;
-        let text = format!("{value:.digits$}");
-        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+        let text = format!("{value:.*e}", digits - 1);
+        match text.split_once('e') {
+            Some((mantissa, exponent)) => format!("{}e{exponent}", trimmed(mantissa)),
+            None => text,
+        }
     }
 }
 
@@ -132,6 +166,9 @@ mod tests {
     fn requirements_hold_at_their_ends_and_never_for_nan() {
         assert!(Required::Within { of: 1.0, by: 0.5 }.holds(1.5));
         assert!(!Required::relative(2.0, 0.05).holds(2.11));
+        assert!(
+            Required::Within { of: 1.0, by: 0.03 }.holds(1.03) && Required::Within { of: 1.0, by: 0.03 }.holds(0.97)
+        );
         assert!(Required::relative(-2.0, 0.05).holds(-2.09));
         assert!(Required::Between { low: 0.0, high: 1.0 }.holds(0.0));
         assert!(!Required::AtLeast(1.0).holds(0.999));
@@ -148,10 +185,25 @@ mod tests {
             (0.995, "0.995"),
             (123.456, "123.5"),
             (1200.0, "1200"),
-            (4.1e-6, "4.100e-6"),
+            (4.1e-6, "4.1e-6"),
             (-0.0123456, "-0.01235"),
         ] {
             assert_eq!(number(value), text);
         }
+    }
+
+    #[test]
+    fn a_measured_number_is_written_as_finely_as_it_is_judged() {
+        for (value, required, text) in [
+            (0.075_398_22, Required::Within { of: 0.075_398_2, by: 1e-6 }, "0.0753982"),
+            (0.950_04, Required::AtLeast(0.95), "0.95"),
+            (0.949_96, Required::AtLeast(0.95), "0.94996"),
+            (1.030_04, Required::Within { of: 1.0, by: 0.03 }, "1.03004"),
+            (4.1e-6, Required::Reported, "4.1e-6"),
+            (0.0, Required::AtMost(0.0), "0"),
+        ] {
+            assert_eq!(measured_number(value, &required), text);
+        }
+        assert_eq!(Required::Within { of: 0.075_398_2, by: 1e-6 }.to_string(), "0.0753982 ± 1e-6");
     }
 }

@@ -16,6 +16,7 @@
 mod cases;
 mod error;
 mod figure;
+mod kept;
 mod outcome;
 mod plan;
 mod report;
@@ -30,5 +31,5 @@ pub use error::ValidateError;
 pub use figure::{Figure, Judgement, Required};
 pub use outcome::{Outcome, Plot, Series, SeriesKind, Table};
 pub use plan::{Plan, Quiet, Watch};
-pub use report::{CaseReport, FigureReport, Report};
+pub use report::{CaseReport, FigureReport, Program, Report};
 pub use run::{Length, Run};

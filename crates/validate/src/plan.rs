@@ -1,13 +1,15 @@
 //! Runs cases for several seeds on several threads, and keeps what is done.
 
-use crate::cases::Case;
+use crate::cases::{Case, cases};
 use crate::error::ValidateError;
+use crate::kept::{Done, Kept};
 use crate::outcome::Outcome;
-use crate::report::{CaseReport, Report};
+use crate::report::{CaseReport, Program, Report};
 use crate::run::{Length, Run};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
 /// Hears how far the runs have come; called from several threads.
 pub trait Watch: Sync {
@@ -37,14 +39,7 @@ pub struct Plan {
     stopped: AtomicBool,
 }
 
-/// Where outcomes are kept, and under which mark of the program that made them.
-#[derive(Debug)]
-struct Kept {
-    directory: PathBuf,
-    mark: String,
-}
-
-type Result1 = Result<Outcome, ValidateError>;
+type Result1 = Result<Done, ValidateError>;
 
 impl Plan {
     /// Plans each case once for each seed, on one thread.
@@ -62,10 +57,11 @@ impl Plan {
 
     /// Keeps each outcome in a directory, and takes those that are there and bear the same mark: a stopped run goes on.
     ///
-    /// The mark has to change with the program.
+    /// The mark has to change with the program. Outcomes of cases that are not planned come into the report whatever their
+    /// mark, so that a page of all cases stays one when some of them are run again.
     #[must_use]
     pub fn keep(mut self, directory: &Path, mark: impl Into<String>) -> Self {
-        self.kept = Some(Kept { directory: directory.to_owned(), mark: mark.into() });
+        self.kept = Some(Kept::new(directory, mark.into()));
         self
     }
 
@@ -80,8 +76,7 @@ impl Plan {
     /// When an outcome cannot be kept. A case that fails does not end the others: the report tells.
     pub fn run(&self, watch: &dyn Watch) -> Result<Report, ValidateError> {
         if let Some(kept) = &self.kept {
-            let path = &kept.directory;
-            std::fs::create_dir_all(path).map_err(|source| ValidateError::File { path: path.clone(), source })?;
+            kept.prepare()?;
         }
         let mut jobs: Vec<(usize, usize)> = Vec::new();
         for seed in 0..self.seeds.len() {
@@ -114,28 +109,45 @@ impl Plan {
             return Err(error);
         }
         let results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
-        let cases = self.cases.iter().zip(results).map(|(case, results)| {
+        let report = self.cases.iter().zip(results).map(|(case, results)| {
             let outcomes = results.into_iter().map(|result| result.unwrap_or(Err(ValidateError::Stopped)));
-            CaseReport::new(case, &self.seeds, outcomes.collect())
+            CaseReport::new(case, self.seeds.iter().copied().zip(outcomes).collect(), Program::This)
         });
-        Ok(Report { length: self.length, seeds: self.seeds.clone(), cases: cases.collect() })
+        Ok(Report { length: self.length, cases: report.collect(), others: self.others() })
+    }
+
+    /// What is kept of the cases that are not planned.
+    fn others(&self) -> Vec<CaseReport> {
+        let Some(kept) = &self.kept else { return Vec::new() };
+        let planned = |case: &Case| self.cases.iter().any(|planned| planned.name == case.name);
+        let report = |case: &Case| {
+            let runs = kept.read_all(case, self.length);
+            let program = if runs.iter().all(|(_, done)| kept.is_own(done)) { Program::This } else { Program::Another };
+            let outcomes = runs.into_iter().map(|(seed, done)| (seed, Ok(done))).collect::<Vec<_>>();
+            (!outcomes.is_empty()).then(|| CaseReport::new(case, outcomes, program))
+        };
+        cases().iter().filter(|case| !planned(case)).filter_map(report).collect()
     }
 
     /// Runs one case for one seed, or takes what is kept.
     fn one(&self, case: &'static Case, seed: u64, watch: &dyn Watch) -> Result<Result1, ValidateError> {
-        if let Some(outcome) = self.kept.as_ref().and_then(|kept| kept.read(case, seed, self.length)) {
-            watch.finished(case, seed, Ok(&outcome), true);
-            return Ok(Ok(outcome));
+        if let Some(done) = self.kept.as_ref().and_then(|kept| kept.read(case, seed, self.length)) {
+            watch.finished(case, seed, Ok(&done.outcome), true);
+            return Ok(Ok(done));
         }
         let advanced = |share: f64| watch.advanced(case, seed, share);
+        #[expect(clippy::disallowed_methods, reason = "the report tells how long each case takes")]
+        let start = Instant::now();
         let result = if self.stopped.load(Ordering::Relaxed) {
             Err(ValidateError::Stopped)
         } else {
             (case.run)(&Run { seed, length: self.length, advanced: &advanced, stopped: &self.stopped })
         };
         watch.finished(case, seed, result.as_ref(), false);
-        if let (Some(kept), Ok(outcome)) = (&self.kept, &result) {
-            kept.write(case, seed, self.length, outcome)?;
+        let mark = self.kept.as_ref().map_or("", Kept::mark);
+        let result = result.map(|outcome| Done::new(mark, start.elapsed().as_secs_f64(), outcome));
+        if let (Some(kept), Ok(done)) = (&self.kept, &result) {
+            kept.write(case, seed, self.length, done)?;
         }
         Ok(result)
     }
@@ -145,34 +157,6 @@ fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Kept {
-    fn path(&self, case: &Case, seed: u64, length: Length) -> PathBuf {
-        let length = match length {
-            Length::Full => "full",
-            Length::Quick => "quick",
-        };
-        self.directory.join(format!("{}.{length}.seed-{seed}.json", case.name))
-    }
-
-    fn read(&self, case: &Case, seed: u64, length: Length) -> Option<Outcome> {
-        let text = std::fs::read_to_string(self.path(case, seed, length)).ok()?;
-        // a file that was cut off, or that another program wrote, is as good as none: the case is run again
-        let (mark, outcome): (String, Outcome) = serde_json::from_str(&text).ok()?;
-        (mark == self.mark).then_some(outcome)
-    }
-
-    fn write(&self, case: &Case, seed: u64, length: Length, outcome: &Outcome) -> Result<(), ValidateError> {
-        let path = self.path(case, seed, length);
-        let text = serde_json::to_string(&(&self.mark, outcome)).map_err(std::io::Error::from);
-        let write = |text: String| {
-            let unfinished = path.with_extension("json.part");
-            std::fs::write(&unfinished, text)?;
-            std::fs::rename(&unfinished, &path)
-        };
-        text.and_then(write).map_err(|source| ValidateError::File { path: path.clone(), source })
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -180,13 +164,13 @@ mod tests {
 
     static RUNS: AtomicUsize = AtomicUsize::new(0);
 
-    fn seed_as_figure(run: &Run<'_>) -> Result1 {
+    fn seed_as_figure(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         RUNS.fetch_add(1, Ordering::Relaxed);
         let figure = Figure::new("seed", run.seed as f64, Required::AtMost(2.0));
         Ok(Outcome { figures: vec![figure], ..Outcome::default() })
     }
 
-    fn without_result(_: &Run<'_>) -> Result1 {
+    fn without_result(_: &Run<'_>) -> Result<Outcome, ValidateError> {
         Err(ValidateError::Stopped)
     }
 
@@ -205,8 +189,33 @@ mod tests {
         assert_eq!(RUNS.load(Ordering::Relaxed), done, "kept outcomes are not made again");
         plan("b").run(&Quiet).unwrap();
         assert_eq!(RUNS.load(Ordering::Relaxed), done + 2, "another program makes them again");
-        std::fs::write(directory.path().join("test.counted.quick.seed-1.json"), "[\"b\", {\"fig").unwrap();
-        assert_eq!(plan("b").run(&Quiet).unwrap(), first, "a file that was cut off is made again");
+        std::fs::write(directory.path().join("test.counted.quick.seed-1.json"), "{\"mark\": \"b\", \"fig").unwrap();
+        let again = plan("b").run(&Quiet).unwrap();
+        assert_eq!(again.cases[0].figures, first.cases[0].figures, "a file that was cut off is made again");
+        assert_eq!(RUNS.load(Ordering::Relaxed), done + 3);
+    }
+
+    #[test]
+    fn a_report_of_one_case_keeps_what_was_kept_of_the_others() {
+        let directory = tempfile::tempdir().unwrap();
+        let vehicle = cases().iter().find(|case| case.name == "kalman.vehicle").unwrap();
+        let plan = |case, mark: &str| Plan::new(vec![case], vec![1, 2], Length::Quick).keep(directory.path(), mark);
+        let first = plan(vehicle, "a").run(&Quiet).unwrap();
+        assert!(first.others.is_empty());
+        for (mark, program) in [("a", Program::This), ("b", Program::Another)] {
+            let second = plan(&COUNTED, mark).run(&Quiet).unwrap();
+            assert_eq!(second.others.len(), 1);
+            let kept = &second.others[0];
+            assert_eq!((kept.name, &kept.seeds, kept.program), ("kalman.vehicle", &vec![1, 2], program));
+            assert_eq!(kept.figures.len(), first.cases[0].figures.len());
+            assert!(kept.passed() && kept.seconds.iter().all(Option::is_some) && !kept.plots.is_empty());
+        }
+        assert_eq!(std::fs::read_to_string(directory.path().join(".gitignore")).unwrap(), "*\n");
+        let pages = tempfile::tempdir().unwrap();
+        plan(&COUNTED, "a").run(&Quiet).unwrap().write(pages.path()).unwrap();
+        let page = std::fs::read_to_string(pages.path().join("figures.md")).unwrap();
+        assert!(page.contains("`kalman.vehicle`") && page.contains("`test.counted`"), "{page}");
+        assert!(page.contains("No outcome is kept of") && page.contains("`ekf.tower`"), "{page}");
     }
 
     #[test]

@@ -1,11 +1,15 @@
 //! What all runs of a plan have shown.
 
 mod drawing;
+mod html;
+mod markdown;
 mod page;
+mod thin;
 
-use crate::cases::Case;
+use crate::cases::{Case, cases};
 use crate::error::ValidateError;
 use crate::figure::{Judgement, Required};
+use crate::kept::Done;
 use crate::outcome::{Outcome, Plot, Table};
 use crate::run::Length;
 use serde::Serialize;
@@ -22,13 +26,24 @@ pub struct FigureReport {
     pub published: Option<f64>,
     /// What is required.
     pub required: Required,
-    /// Of which seeds.
+    /// Over how many of the seeds.
     pub judgement: Judgement,
-    /// What came out, one for each seed; none where it could not be had.
+    /// The seeds.
+    pub seeds: Vec<u64>,
+    /// What came out, one for each seed in their order; none where it could not be had.
     pub measured: Vec<Option<f64>>,
     /// Whether the requirement holds.
     #[serde(rename = "pass")]
     pub passed: bool,
+}
+
+/// Which program made the outcomes of a case.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Program {
+    /// The one that writes the report.
+    This,
+    /// Another version or another build, at least for one of the seeds.
+    Another,
 }
 
 /// One case over all seeds.
@@ -40,6 +55,14 @@ pub struct CaseReport {
     pub title: &'static str,
     /// Where it was published.
     pub source: &'static str,
+    /// Its seeds.
+    pub seeds: Vec<u64>,
+    /// How long each seed took (s), beside whatever else ran then; none without outcome.
+    pub seconds: Vec<Option<f64>>,
+    /// Version of the program that made the outcomes; several where the seeds differ.
+    pub versions: Vec<String>,
+    /// Which program made them.
+    pub program: Program,
     /// Its figures.
     pub figures: Vec<FigureReport>,
     /// Tables of the first seed.
@@ -55,28 +78,37 @@ pub struct CaseReport {
 pub struct Report {
     /// How much was simulated.
     pub length: Length,
-    /// The seeds.
-    pub seeds: Vec<u64>,
-    /// The cases, in order.
+    /// The cases that were asked for, in order.
     pub cases: Vec<CaseReport>,
+    /// Cases that were not asked for, of which outcomes are kept: on the page, and nowhere else.
+    pub others: Vec<CaseReport>,
 }
 
 impl CaseReport {
-    pub(crate) fn new(case: &Case, seeds: &[u64], outcomes: Vec<Result<Outcome, ValidateError>>) -> Self {
+    pub(crate) fn new(case: &Case, runs: Vec<(u64, Result<Done, ValidateError>)>, program: Program) -> Self {
         let mut report = Self {
             name: case.name,
             title: case.title,
             source: case.source,
+            seeds: runs.iter().map(|(seed, _)| *seed).collect(),
+            seconds: Vec::new(),
+            versions: Vec::new(),
+            program,
             figures: Vec::new(),
             tables: Vec::new(),
             plots: Vec::new(),
             failures: Vec::new(),
         };
-        let count = outcomes.len();
-        for (position, (seed, outcome)) in seeds.iter().zip(outcomes).enumerate() {
-            match outcome {
-                Ok(outcome) => report.take(position, count, outcome),
-                Err(error) => report.failures.push((*seed, error.to_string())),
+        for (position, (seed, run)) in runs.into_iter().enumerate() {
+            report.seconds.push(run.as_ref().ok().map(|done| done.seconds));
+            match run {
+                Ok(done) => {
+                    if !report.versions.contains(&done.version) {
+                        report.versions.push(done.version);
+                    }
+                    report.take(position, done.outcome);
+                }
+                Err(error) => report.failures.push((seed, error.to_string())),
             }
         }
         for figure in &mut report.figures {
@@ -85,7 +117,7 @@ impl CaseReport {
         report
     }
 
-    fn take(&mut self, position: usize, count: usize, outcome: Outcome) {
+    fn take(&mut self, position: usize, outcome: Outcome) {
         for figure in outcome.figures {
             let known = self.figures.iter().position(|known| known.figure == figure.name);
             let at = known.unwrap_or_else(|| {
@@ -95,7 +127,8 @@ impl CaseReport {
                     published: figure.published,
                     required: figure.required,
                     judgement: figure.judgement,
-                    measured: vec![None; count],
+                    measured: vec![None; self.seeds.len()],
+                    seeds: self.seeds.clone(),
                     passed: false,
                 });
                 self.figures.len() - 1
@@ -132,13 +165,13 @@ fn holds(figure: &FigureReport) -> bool {
 }
 
 impl Report {
-    /// Says whether every case passed.
+    /// Says whether every case that was asked for passed.
     #[must_use]
     pub fn passed(&self) -> bool {
         self.cases.iter().all(CaseReport::passed)
     }
 
-    /// Returns all figures.
+    /// Returns all figures of the cases that were asked for.
     pub fn figures(&self) -> impl Iterator<Item = &FigureReport> {
         self.cases.iter().flat_map(|case| &case.figures)
     }
@@ -149,7 +182,14 @@ impl Report {
         page::text(self)
     }
 
-    /// Writes `index.html` and `figures.md` with their diagrams beside them into a directory.
+    /// Returns the cases of the page, in the order of their sources: those that were asked for, and those that are kept.
+    fn on_page(&self) -> Vec<&CaseReport> {
+        let mut all: Vec<&CaseReport> = self.cases.iter().chain(&self.others).collect();
+        all.sort_by_key(|report| cases().iter().position(|case| case.name == report.name));
+        all
+    }
+
+    /// Writes `index.html` and `figures.md`, and their diagrams into `diagrams`; diagrams of a case that it no longer has go.
     ///
     /// # Errors
     /// When a file cannot be written or a diagram cannot be drawn.

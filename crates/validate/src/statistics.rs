@@ -37,6 +37,10 @@ pub(crate) struct Accuracy {
     squared_ratio: f64,
     inside: f64,
     std: f64,
+    estimate: f64,
+    truth: f64,
+    squared_estimate: f64,
+    product: f64,
 }
 
 impl Accuracy {
@@ -50,6 +54,10 @@ impl Accuracy {
         self.squared_ratio += (error / std).powi(2);
         self.inside += f64::from(u8::from(error <= 3.0 * std));
         self.std += std;
+        self.estimate += estimate;
+        self.truth += truth;
+        self.squared_estimate += estimate * estimate;
+        self.product += estimate * truth;
     }
 
     /// Root mean square of the error.
@@ -75,6 +83,19 @@ impl Accuracy {
     /// Share of the instants inside ± 3 stated deviations.
     pub(crate) fn coverage(&self) -> f64 {
         self.inside / self.count
+    }
+
+    /// Distance of the mean estimate from the mean truth, in mean deviations: above 3 the interval misses the truth.
+    pub(crate) fn bias(&self) -> f64 {
+        (self.estimate - self.truth).abs() / self.std
+    }
+
+    /// Correlation of estimate and truth.
+    pub(crate) fn correlation(&self) -> f64 {
+        let centred = |sum: f64, a: f64, b: f64| sum - a * b / self.count;
+        let estimate = centred(self.squared_estimate, self.estimate, self.estimate);
+        let truth = centred(self.squared_truth, self.truth, self.truth);
+        centred(self.product, self.estimate, self.truth) / (estimate * truth).sqrt()
     }
 
     /// Mean of the stated deviation.
@@ -125,5 +146,22 @@ impl Uniform {
         }
         all.truncate(count.min(len));
         all
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn correlation_knows_neither_offset_nor_scale() {
+        let mut same = Accuracy::default();
+        let mut unrelated = Accuracy::default();
+        for i in 0..1000 {
+            let truth = (f64::from(i) * 0.02 * std::f64::consts::PI).sin();
+            same.take(3.0 + 0.5 * truth, 1.0, truth);
+            unrelated.take((f64::from(i) * 0.04 * std::f64::consts::PI).sin(), 1.0, truth);
+        }
+        assert!((same.correlation() - 1.0).abs() < 1e-12 && unrelated.correlation().abs() < 1e-12);
     }
 }

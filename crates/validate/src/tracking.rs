@@ -16,16 +16,14 @@ pub(crate) fn agreement(level: &Course, from_s: f64, to_s: f64) -> (f64, f64, f6
 
 /// Value and time of the largest running mean over 2 s after a time.
 pub(crate) fn peak(level: &Course, after_s: f64) -> (f64, f64) {
-    let (mut largest, mut at_s, mut time_s) = (0.0, after_s, after_s);
     let end = level.points.last().map_or(0.0, |point| point[0]) - 1.0;
-    while time_s < end {
-        let mean = level.mean(time_s - 1.0, time_s + 1.0);
-        if mean > largest {
-            (largest, at_s) = (mean, time_s);
-        }
-        time_s += 0.2;
-    }
-    (largest, at_s)
+    // tenths of a second, so that times add up without rounding
+    let tenths = (10.0 * after_s).round() as i64..(10.0 * end).ceil() as i64;
+    let means = tenths
+        .step_by(2)
+        .map(|tenth| tenth as f64 / 10.0)
+        .map(|time_s| (level.mean(time_s - 1.0, time_s + 1.0), time_s));
+    means.fold((0.0, after_s), |largest, mean| if mean.0 > largest.0 { mean } else { largest })
 }
 
 /// Delay of the truth (s) with which the estimate correlates best.

@@ -388,6 +388,9 @@ impl<S: ComponentSystem> ClassBank<S> {
                     }
                 }
                 work.psi.copy_from_slice(leading.filter.noise().mean.as_slice());
+            } else {
+                // nobody has screened this frame, which may be what broke the filter: the others predict and leave it
+                work.observations.fill(f64::NAN);
             }
         }
         let frame = Frame { observations: &work.observations, excitation: frame.excitation };

@@ -38,10 +38,12 @@ impl Plausibilities {
         if largest == f64::NEG_INFINITY {
             return largest;
         }
-        let log_evidence = largest + joint.map(|l| (l - largest).exp()).sum::<f64>().ln();
+        // beside the largest: of evidences of 10⁵ nats, as an outlier of hundreds of deviations has, nothing but differences
+        // must be left before the sum is taken, or it is 1 to ten digits only
+        let rest = joint.map(|l| (l - largest).exp()).sum::<f64>().ln();
         let mut least = f64::INFINITY;
         for (prior, evidence) in self.logarithms.iter_mut().zip(log_evidences) {
-            *prior += evidence - log_evidence;
+            *prior = (*prior + evidence - largest) - rest;
             if prior.is_finite() {
                 least = least.min(*prior);
             }
@@ -54,7 +56,7 @@ impl Plausibilities {
         if floor > 0.0 {
             self.raise(floor);
         }
-        log_evidence
+        largest + rest
     }
 
     /// Lifts what is below the floor onto it, and scales the others so that the sum stays 1.

@@ -285,6 +285,23 @@ fn random_system(n: usize, entries: &[f64]) -> Linear {
     Linear { state: DVector::zeros(n), excitation: DVector::zeros(1), system, input, observation, direct: None }
 }
 
+fn any_rule() -> impl proptest::strategy::Strategy<Value = NoiseRule> {
+    proptest::sample::select(vec![NoiseRule::Fisher, NoiseRule::Published, NoiseRule::HalfOrDouble, NoiseRule::Fixed])
+}
+
+/// Leaves the level of both sensors to a rule that trains for 20 steps.
+fn with_unknown_sensors(settings: &mut FilterSettings, rule: NoiseRule) {
+    settings.noise.sensors.fill(0.0);
+    settings.noise.parameters.push(crate::noise::NoiseParameter {
+        name: "sensors".to_owned(),
+        target: NoiseTarget::Sensors,
+        pattern: DMatrix::identity(2, 2),
+        start: 1e-4,
+        start_std: 3e-5,
+    });
+    settings.noise_settings = NoiseSettings { rule, training_steps: 20, ..NoiseSettings::default() };
+}
+
 proptest::proptest! {
     #![proptest_config(proptest::prelude::ProptestConfig::with_cases(64))]
 
@@ -295,9 +312,16 @@ proptest::proptest! {
         data in proptest::collection::vec(proptest::option::weighted(0.8, -3.0_f64..3.0), 120),
         joseph in proptest::bool::ANY,
         memory in 20.0_f64..5000.0,
+        rule in proptest::option::of(any_rule()),
+        screens: bool,
     ) {
         let noise = NoiseModel::known(DMatrix::from_element(1, 1, 0.3), DMatrix::identity(2, 2) * 1e-3);
         let mut settings = FilterSettings::new(0.02, DVector::zeros(n), DVector::repeat(n, 1.0), noise);
+        if let Some(rule) = rule {
+            with_unknown_sensors(&mut settings, rule);
+        }
+        // trained after 20 of 60 frames
+        settings.outliers = screens.then(|| OutlierSettings { training_steps: 20, ..OutlierSettings::for_period(20.0) });
         settings.fading = FadingFactor::from_half_life(memory).unwrap();
         settings.covariance_form = if joseph { CovarianceForm::Joseph } else { CovarianceForm::Symmetric };
         let mut filter = ExtendedKalmanFilter::new(random_system(n, &entries), settings).unwrap();
@@ -346,6 +370,40 @@ proptest::proptest! {
         }
     }
 
+    /// Limits that nothing exceeds leave every bit, of any linear system, memory and rule.
+    #[test]
+    fn infinite_thresholds_are_no_screening(
+        n in 2_usize..7,
+        entries in proptest::collection::vec(-1.0_f64..1.0, 64),
+        data in proptest::collection::vec(proptest::option::weighted(0.9, -3.0_f64..3.0), 120),
+        memory in 20.0_f64..5000.0,
+        rule in proptest::option::of(any_rule()),
+    ) {
+        let mut settings = FilterSettings::new(
+            0.02,
+            DVector::zeros(n),
+            DVector::repeat(n, 1.0),
+            NoiseModel::known(DMatrix::from_element(1, 1, 0.3), DMatrix::identity(2, 2) * 1e-3),
+        );
+        if let Some(rule) = rule {
+            with_unknown_sensors(&mut settings, rule);
+        }
+        settings.fading = FadingFactor::from_half_life(memory).unwrap();
+        let mut plain = ExtendedKalmanFilter::new(random_system(n, &entries), settings.clone()).unwrap();
+        let outliers = OutlierSettings { training_steps: 20, ..screened(f64::INFINITY).outliers.unwrap() };
+        settings.outliers = Some(outliers);
+        let mut screening = ExtendedKalmanFilter::new(random_system(n, &entries), settings).unwrap();
+        for pair in data.chunks_exact(2) {
+            let datum = [0, 1].map(|c| pair[c].unwrap_or(f64::NAN));
+            let frame = Frame { observations: &datum, excitation: &[0.0] };
+            let (one, other) = (plain.step(frame).unwrap(), screening.step(frame).unwrap());
+            proptest::prop_assert_eq!(other.rejected_channels, 0);
+            proptest::prop_assert_eq!(one.log_evidence, other.log_evidence);
+        }
+        proptest::prop_assert_eq!(plain.mean(), screening.mean());
+        proptest::prop_assert_eq!(plain.covariance(), screening.covariance());
+    }
+
     #[test]
     fn dropped_channel_is_one_of_infinite_variance(
         n in 2_usize..7,
@@ -376,24 +434,15 @@ proptest::proptest! {
     #[test]
     fn checkpoint_at_any_step_changes_nothing(
         stop in 1_usize..600,
-        rule in proptest::sample::select(
-            vec![NoiseRule::Fisher, NoiseRule::Published, NoiseRule::HalfOrDouble, NoiseRule::Fixed]
-        ),
+        rule in any_rule(),
         screens: bool,
     ) {
         let settings = || {
             let mut settings = if screens { screened(3.5) } else { settings() };
             settings.fading = FadingFactor::from_half_life(500.0).unwrap();
             settings.annealing = Some(Annealing { amount: 10.0, time_constant_s: 1.0 });
-            settings.noise.sensors.fill(0.0);
-            settings.noise.parameters.push(crate::noise::NoiseParameter {
-                name: "sensors".to_owned(),
-                target: NoiseTarget::Sensors,
-                pattern: DMatrix::identity(2, 2),
-                start: 1e-4,
-                start_std: 3e-5,
-            });
-            settings.noise_settings = NoiseSettings { rule, training_steps: 100, ..NoiseSettings::default() };
+            with_unknown_sensors(&mut settings, rule);
+            settings.noise_settings.training_steps = 100;
             settings
         };
         let mut unbroken = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();

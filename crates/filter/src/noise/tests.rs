@@ -145,6 +145,76 @@ fn white_residuals_give_their_level_and_its_deviation() {
     }
 }
 
+/// White residuals with `Σ_z = ψ_f h hᵀ + ψ_n I`, both levels from 1: means over the truth of the last 4000 steps, and when
+/// the training ended.
+fn white_residuals_of_two(channels: usize, half_life: f64, steps: u64, seed: u64) -> ([f64; 2], Option<u64>) {
+    use rand_distr::{Distribution, StandardNormal};
+    let truth = [2e-2_f64, 2e-4];
+    let h = DVector::from_fn(channels, |i, _| 0.3 * (0.4 + i as f64).cos());
+    let parameter = |name: &str, pattern| NoiseParameter {
+        name: name.to_owned(),
+        target: NoiseTarget::Sensors,
+        pattern,
+        start: 1.0,
+        start_std: 1.0 / 3.0,
+    };
+    let model = NoiseModel {
+        excitation: DMatrix::zeros(0, 0),
+        sensors: DMatrix::zeros(channels, channels),
+        parameters: vec![
+            parameter("force", &h * h.transpose()),
+            parameter("sensors", DMatrix::identity(channels, channels)),
+        ],
+    };
+    let fading = FadingFactor::from_half_life(half_life).unwrap().value();
+    let settings = NoiseSettings {
+        rule: NoiseRule::Published,
+        fading,
+        seed,
+        training_steps: 2500,
+        training_limit_steps: u64::MAX,
+        ..NoiseSettings::default()
+    };
+    let mut state = NoiseState::start(&model, &settings);
+    let mut objective = Objective::new(channels, 2);
+    let mut rng = ChaCha8Rng::seed_from_u64(2000 + seed);
+    let zero = DMatrix::zeros(channels, channels);
+    let (mut sums, mut ended) = ([0.0; 2], None);
+    for k in 0..steps {
+        let force: f64 = StandardNormal.sample(&mut rng);
+        let residual = DVector::from_fn(channels, |i, _| {
+            let sensor: f64 = StandardNormal.sample(&mut rng);
+            truth[0].sqrt() * h[i] * force + truth[1].sqrt() * sensor
+        });
+        objective.set_frame(&model, &zero, ExcitationPath::Felt, None, 1.0, &residual);
+        if state.update(&model, &settings, &mut objective).training_ended {
+            ended = Some(k);
+        }
+        if k + 4000 >= steps {
+            (0..2).for_each(|l| sums[l] += state.mean[l] / truth[l] / 4000.0);
+        }
+    }
+    (sums, ended)
+}
+
+#[test]
+fn memory_that_is_too_short_leaves_training_open_and_the_force_low() {
+    // ch3 §5, failure signatures: with a half-life of 200 steps training never ends and the level of the force comes out low,
+    // with 2000 and 8000 it ends within 5000 steps
+    for (channels, seed) in [(3, 1), (3, 2), (12, 1), (12, 2)] {
+        let (means, ended) = white_residuals_of_two(channels, 200.0, 12_000, seed);
+        println!("{channels} channels, half-life 200: {means:.3?}, {ended:?}");
+        assert_eq!(ended, None, "{channels} channels");
+        assert!(means[0] < 0.9, "{channels} channels: force {}", means[0]);
+        for half_life in [2000.0, 8000.0] {
+            let (means, ended) = white_residuals_of_two(channels, half_life, 12_000, seed);
+            println!("{channels} channels, half-life {half_life}: {means:.3?}, {ended:?}");
+            assert!(ended.is_some_and(|k| k < 5000), "{channels} channels, half-life {half_life}: {ended:?}");
+            assert!(means.iter().all(|mean| (mean - 1.0).abs() < 0.1), "{channels} channels: {means:?}");
+        }
+    }
+}
+
 #[test]
 fn start_of_zero_is_refused() {
     let (mut model, _) = random_problem();

@@ -114,14 +114,18 @@ fn swamping(seed: u64, settings: &OutlierSettings, samples: usize, scale: f64, h
 
 #[test]
 fn a_clean_stream_is_swamped_as_little_as_the_window_allows() {
-    // the scale held at 1, then updated; 120 000 samples
-    for seed in [1, 2, 3] {
-        for (window, held, updated) in [(1000, 0.0074, 0.0153), (3627, 0.0047, 0.0105), (10_000, 0.0033, 0.0068)] {
-            let found = swamping(seed, &settings(window), 120_000, 1.0, true);
-            assert!((found / held - 1.0).abs() < 0.25, "seed {seed}, window {window}: {found}, expected {held}");
-            let found = swamping(seed, &settings(window), 120_000, 1.0, false);
-            assert!((found / updated - 1.0).abs() < 0.35, "seed {seed}, window {window}, updated: {found}");
-        }
+    // the scale held at 1, then updated; 120 000 samples. Rejections come in clusters, and with a window of 10 000 there are
+    // few of them: single streams scatter by a fifth with the updated scale, so that the mean over eight is judged
+    const SEEDS: std::ops::RangeInclusive<u64> = 1..=8;
+    for (window, held, updated) in [(1000, 0.0074, 0.0153), (3627, 0.0047, 0.0105), (10_000, 0.0033, 0.0068)] {
+        let mean = |scale_is_held: bool| {
+            let each = SEEDS.map(|seed| swamping(seed, &settings(window), 120_000, 1.0, scale_is_held));
+            each.sum::<f64>() / SEEDS.count() as f64
+        };
+        let found = mean(true);
+        assert!((found / held - 1.0).abs() < 0.25, "window {window}: {found}, expected {held}");
+        let found = mean(false);
+        assert!((found / updated - 1.0).abs() < 0.25, "window {window}, updated: {found}, expected {updated}");
     }
 }
 

@@ -84,10 +84,18 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         Figure::new("classes that calibrate after the second damage", classes.len() as f64, Required::AtLeast(2.0))
             .published(2.0),
         Figure::new(
-            "share of the last 10 s in which the baseline leads",
-            seen.share(seconds - 10.0, seconds, baseline),
+            "share of the last second in which the baseline leads",
+            seen.share(seconds - 1.0, seconds, baseline),
+            // a repair that is under way when the record ends takes a second
             Required::Reported,
-        ),
+        )
+        .published(1.0),
+        Figure::new(
+            "share in which the baseline leads, from the last calibration of the record on",
+            seen.share(last(second_s, seconds), seconds, baseline),
+            run.pick(Required::AtLeast(0.95), Required::Reported),
+        )
+        .published(1.0),
     ]);
     let error = |j: usize| (seen.courses[j].mean(seconds - 10.0, seconds) - TRUTH[j]).abs();
     for spring in 0..SPRINGS {

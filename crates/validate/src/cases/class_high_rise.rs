@@ -114,7 +114,7 @@ fn measure(
         figures.push(Figure::new(
             named(&format!("storey {} by C(4) at the end", storey + 1)),
             single[storey],
-            if fifty { Required::Within { of: truth, by: 0.01 } } else { Required::Reported },
+            Required::Within { of: truth, by: 0.01 },
         ));
     }
     let diluted = if fifty { Required::AtLeast(0.99) } else { Required::Reported };
@@ -126,7 +126,7 @@ fn measure(
     figures.push(Figure::new(
         named("largest error of the weighted estimate of storeys 1 to 6 at the end"),
         worst,
-        if fifty { Required::AtMost(0.01) } else { Required::Reported },
+        Required::AtMost(0.01),
     ));
     for (state, accuracy) in seen.responses.iter().enumerate() {
         let what = if state < WATCHED_FLOORS.len() { "displacement" } else { "velocity" };

@@ -37,6 +37,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let mut courses = vec![Course::default(); GROUPS + 2];
     let mut responses = vec![[Accuracy::default(); 2]; 2 * RESPONSES.len()];
     let mut limited = 0;
+    // of each watched state, true and estimated
+    let mut clouds: Vec<Vec<(f32, f32)>> = vec![Vec::new(); 2 * RESPONSES.len()];
     scene.filter(
         settings,
         |frame| scene.data(frame),
@@ -52,6 +54,11 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                 let std = filter.covariance()[(*state, *state)].max(0.0).sqrt();
                 accuracy[usize::from(time_s >= 5.0)].take(filter.mean()[*state], std, *truth);
             }
+            if time_s >= 5.0 && frame % 10 == 0 {
+                for ((points, state), truth) in clouds.iter_mut().zip(scene.watched()).zip(scene.states(frame)) {
+                    points.push((*truth as f32, filter.mean()[*state] as f32));
+                }
+            }
             limited += step.limited_states;
         },
     )?;
@@ -59,6 +66,16 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let names: Vec<&str> = scene.structure.parameters().iter().map(|parameter| parameter.name()).collect();
     let windows = run.pick([[60.0, 100.0], [130.0, 150.0], [180.0, 200.0]], [[10.0, 14.0], [20.0, 22.0], [28.0, 30.0]]);
     let mut figures = vec![Figure::new("steps at which a state was clipped", limited as f64, Required::AtMost(0.0))];
+    let modes = scene.structure.check(0.1, run.seed).modes;
+    for (mode, (report, of)) in modes.iter().zip([0.466, 0.531, 0.699, 0.890, 1.332]).enumerate() {
+        let required = Required::Within { of, by: 0.001 };
+        figures.push(Figure::new(format!("f{} (Hz)", mode + 1), report.frequency_hz, required).published(of));
+    }
+    for (mode, report) in modes.iter().take(2).enumerate() {
+        let name = format!("damping ratio of mode {}", mode + 1);
+        let required = Required::Within { of: 0.0195, by: 5e-5 };
+        figures.push(Figure::new(name, report.damping_ratio, required).published(0.02));
+    }
     // a shortened record leaves no room for the tenth of the gap that a half-life of 8 s keeps open
     let settled = run.pick(0.004, 0.025);
     for (k, [from, to]) in windows.into_iter().enumerate() {
@@ -140,9 +157,25 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                 accuracy[1].relative_error(),
                 full(Required::AtMost(most)),
             ));
+            figures.push(Figure::new(
+                format!("{name}: correlation of the {what} with the truth afterwards"),
+                accuracy[1].correlation(),
+                full(Required::AtLeast(0.998)),
+            ));
         }
     }
-    let plots: Vec<Plot> =
+    let mut plots: Vec<Plot> =
         courses.iter().zip(&names).map(|(course, name)| course.plot(name, "ratio to nominal", (0.85, 1.15))).collect();
+    for (j, points) in clouds.into_iter().enumerate() {
+        let what = if j < RESPONSES.len() { "displacement" } else { "velocity" };
+        let name = RESPONSES[j % RESPONSES.len()];
+        let unit = match (name.ends_with('r'), j < RESPONSES.len()) {
+            (true, true) => "rad",
+            (true, false) => "rad/s",
+            (false, true) => "m",
+            (false, false) => "m/s",
+        };
+        plots.push(Plot::against_truth(format!("{name}: {what} from 5 s on"), unit, points));
+    }
     Ok(Outcome { figures, tables: Vec::new(), plots })
 }

@@ -15,6 +15,8 @@ const STEP_S: f64 = 0.005;
 const SENSED: [usize; 7] = [1, 10, 20, 30, 40, 50, 60];
 /// Steps after which errors count (20 s).
 const SETTLED: usize = 4_000;
+/// Steps after which the deviations have reached what they stay at (10 s).
+const STEADY: usize = 2_000;
 
 pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let steps = run.pick(40_000, 12_000);
@@ -45,6 +47,10 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let mut accuracy = vec![Accuracy::default(); 2 * FLOORS];
     let mut chi_squared = Mean::default();
     let mut first_std = [0.0; 3];
+    // of every state: its deviation when it is said to be steady, and how far from that it was later
+    let (mut steady_std, mut drift) = (vec![0.0; 2 * FLOORS], 0.0_f64);
+    // true and estimated: displacement and velocity of three floors
+    let mut responses: [[Vec<(f32, f32)>; 2]; 3] = Default::default();
     let mut curves: [[Vec<(f32, f32)>; 2]; 3] = Default::default();
     let mut deviations: [Vec<(f32, f32)>; 6] = Default::default();
     for (i, (u, z)) in truth.iter().zip(&clean).enumerate() {
@@ -63,7 +69,22 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                 curve.push((time_s as f32, std(shift * FLOORS + floor - 1).log10() as f32));
             }
         }
+        match i {
+            STEADY => steady_std = (0..2 * FLOORS).map(std).collect(),
+            _ if i > STEADY && i % 100 == 0 => {
+                let change = steady_std.iter().enumerate().map(|(j, steady)| (std(j) / steady - 1.0).abs());
+                drift = change.fold(drift, f64::max);
+            }
+            _ => {}
+        }
         if i >= SETTLED {
+            if i % 20 == 0 {
+                for (points, floor) in responses.iter_mut().zip([1, 30, 60]) {
+                    for (points, j) in points.iter_mut().zip([floor - 1, FLOORS + floor - 1]) {
+                        points.push((u[j] as f32, filter.mean()[j] as f32));
+                    }
+                }
+            }
             if i < SETTLED + 4_000 && i % 4 == 0 {
                 for (curve, floor) in curves.iter_mut().zip([1, 30, 60]) {
                     curve[0].push((time_s as f32, u[FLOORS + floor - 1] as f32));
@@ -116,6 +137,36 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             .judged(Judgement::Mean),
         ]);
     }
+    let (displacements, velocities) = accuracy.split_at(FLOORS);
+    let largest = |of: &[Accuracy], what: fn(&Accuracy) -> f64| of.iter().map(what).fold(0.0, f64::max);
+    let least_velocity = velocities.iter().map(Accuracy::rms_error).fold(f64::INFINITY, f64::min);
+    // 2.1 to 2.8 by its printed digits
+    let of_velocity = || full(Required::Between { low: 2.05e-4, high: 2.85e-4 });
+    figures.extend([
+        Figure::new(
+            "every floor: largest relative error of the displacement after 20 s",
+            largest(displacements, Accuracy::relative_error),
+            Required::AtMost(0.005),
+        ),
+        Figure::new(
+            "every floor: largest relative error of the velocity after 20 s",
+            largest(velocities, Accuracy::relative_error),
+            full(Required::AtMost(0.10)),
+        ),
+        Figure::new("every floor: least rms error of the velocity (m/s)", least_velocity, of_velocity())
+            .judged(Judgement::Mean),
+        Figure::new(
+            "every floor: largest rms error of the velocity (m/s)",
+            largest(velocities, Accuracy::rms_error),
+            of_velocity(),
+        )
+        .judged(Judgement::Mean),
+        Figure::new(
+            "every state: largest change of its deviation from 10 s on, over its value",
+            drift,
+            Required::AtMost(0.001),
+        ),
+    ]);
     let inside = rms(accuracy.iter().map(|a| a.coverage().sqrt())).powi(2);
     figures.extend([
         Figure::new("share inside 3 sd, all states", inside, Required::AtLeast(0.995)),
@@ -162,6 +213,11 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let names = ["x, 1", "x, 30", "x, 60", "v, 1", "v, 30", "v, 60"];
     let series =
         deviations.into_iter().zip(names).map(|(points, name)| Series::new(name, SeriesKind::Estimate, points));
+    for (points, floor) in responses.into_iter().zip([1, 30, 60]) {
+        for (points, (what, unit)) in points.into_iter().zip([("Displacement", "m"), ("Velocity", "m/s")]) {
+            plots.push(Plot::against_truth(format!("{what} of floor {floor} after 20 s"), unit, points));
+        }
+    }
     plots.push(Plot::over_time("Deviations of displacement (x) and velocity (v), by floor", "log10", series.collect()));
     Ok(Outcome { figures, tables: Vec::new(), plots })
 }

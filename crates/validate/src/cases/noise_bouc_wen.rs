@@ -25,7 +25,6 @@ const STEP_S: f64 = 0.002;
 const SENSED: [usize; 3] = [0, 2, 4];
 const PARAMETERS: usize = MASSES + SHAPE_PARAMETERS;
 const NAMES: [&str; PARAMETERS] = ["θ1", "θ2", "θ3", "θ4", "θ5", "alpha", "beta", "mu", "kappa", "eta"];
-const DAMAGE_S: f64 = 170.0;
 /// Fundamental period (s).
 const PERIOD_S: f64 = 1.0 / 2.0259;
 
@@ -36,6 +35,35 @@ enum Scenario {
     ExcitationSwells,
     BothSwell,
 }
+
+/// When what happens (s), and where it is looked at.
+struct Times {
+    end: f64,
+    swells: f64,
+    /// when the springs lose stiffness: at the height of the swelling, 20 s after its begin
+    damage: f64,
+    /// of the levels: before they swell, and after the damage
+    levels: [[f64; 2]; 2],
+    /// of the parameters: before the damage, and at the end
+    parameters: [[f64; 2]; 2],
+}
+
+/// Of the source.
+const FULL: Times = Times {
+    end: 300.0,
+    swells: 150.0,
+    damage: 170.0,
+    levels: [[20.0, 150.0], [180.0, 300.0]],
+    parameters: [[150.0, 170.0], [280.0, 300.0]],
+};
+/// The same events in a third of the time.
+const QUICK: Times = Times {
+    end: 100.0,
+    swells: 40.0,
+    damage: 60.0,
+    levels: [[20.0, 40.0], [75.0, 100.0]],
+    parameters: [[45.0, 60.0], [85.0, 100.0]],
+};
 
 fn chain() -> BoucWenChain {
     BoucWenChain {
@@ -51,9 +79,9 @@ fn chain() -> BoucWenChain {
     }
 }
 
-/// `1 + a s e^(1 − s)` from 150 s on, with its largest value at 170 s.
-fn swelling(time_s: f64, by: f64) -> f64 {
-    let s = ((time_s - 150.0) / 20.0).max(0.0);
+/// `1 + a s e^(1 − s)` from a time on, with its largest value 20 s later.
+fn swelling(time_s: f64, from_s: f64, by: f64) -> f64 {
+    let s = ((time_s - from_s) / 20.0).max(0.0);
     1.0 + by * s * (1.0 - s).exp()
 }
 
@@ -79,19 +107,20 @@ struct Tracked {
     misfit: Mean,
 }
 
-fn track(run: &Run<'_>, scenario: Scenario, seconds: f64) -> Result<Tracked, ValidateError> {
+fn track(run: &Run<'_>, scenario: Scenario, times: &Times) -> Result<Tracked, ValidateError> {
     let variance = 2.0 * PI * 6.0e-3 / STEP_S;
     let excitation = |time_s| match scenario {
         Scenario::Stationary => 1.0,
-        Scenario::ExcitationSwells | Scenario::BothSwell => swelling(time_s, 1.0),
+        Scenario::ExcitationSwells | Scenario::BothSwell => swelling(time_s, times.swells, 1.0),
     };
-    let sensors = |time_s| if scenario == Scenario::BothSwell { swelling(time_s, 0.5) } else { 1.0 };
-    let stiffness = |time_s: f64| match time_s >= DAMAGE_S {
+    let sensors = |time_s| if scenario == Scenario::BothSwell { swelling(time_s, times.swells, 0.5) } else { 1.0 };
+    let stiffness = |time_s: f64| match time_s >= times.damage {
         true => vec![0.90, 0.90, 0.95, 0.95, 0.95],
         false => vec![1.0; MASSES],
     };
     let ground_std = |time_s| variance.sqrt() * excitation(time_s);
-    let events = Events { step_s: STEP_S, seconds, substeps: 2, ground_std: &ground_std, stiffness: &stiffness };
+    let events =
+        Events { step_s: STEP_S, seconds: times.end, substeps: 2, ground_std: &ground_std, stiffness: &stiffness };
     let motion = Motion::simulate(&chain(), &events, run)?;
     let noise_std = 0.05 * rms(motion.states.iter().map(|state| state[MASSES - 1]));
 
@@ -133,6 +162,7 @@ fn track(run: &Run<'_>, scenario: Scenario, seconds: f64) -> Result<Tracked, Val
         training_steps: (10.0 * PERIOD_S / STEP_S) as u64,
         ..NoiseSettings::default()
     };
+    let misfit_end = misfit_end(run, scenario, times);
     let model = BoucWenModel::new(chain()).ok_or(ValidateError::Example { what: "chain" })?;
     let mut filter = ExtendedKalmanFilter::new(model, settings).map_err(ValidateError::setting)?;
     let mut sensor_noise = Normal::stream(run.seed, 1);
@@ -152,7 +182,7 @@ fn track(run: &Run<'_>, scenario: Scenario, seconds: f64) -> Result<Tracked, Val
         if step.training_ended && tracked.trained_s.is_nan() {
             tracked.trained_s = time_s;
         }
-        if time_s >= 20.0 {
+        if (20.0..misfit_end).contains(&time_s) {
             tracked.misfit.take(step.normalised_innovation_squared / SENSED.len() as f64);
         }
         if i % 10 == 0 {
@@ -177,9 +207,16 @@ fn track(run: &Run<'_>, scenario: Scenario, seconds: f64) -> Result<Tracked, Val
     Ok(tracked)
 }
 
+/// Up to when (s) the misfit is taken: on a rising flank, which fills a third of a short record, it is larger by what the levels
+/// lag behind.
+fn misfit_end(run: &Run<'_>, scenario: Scenario, times: &Times) -> f64 {
+    let swells = scenario != Scenario::Stationary;
+    run.pick(times.end, if swells { times.swells } else { times.end })
+}
+
 fn case(run: &Run<'_>, scenario: Scenario) -> Result<Outcome, ValidateError> {
-    let seconds = run.pick(300.0, 60.0);
-    let tracked = track(run, scenario, seconds)?;
+    let times = run.pick(&FULL, &QUICK);
+    let tracked = track(run, scenario, times)?;
     let Tracked { parameters, levels, .. } = &tracked;
     let published_end = match scenario {
         Scenario::Stationary => 7.68,
@@ -191,91 +228,32 @@ fn case(run: &Run<'_>, scenario: Scenario) -> Result<Outcome, ValidateError> {
             .published(published_end),
         Figure::new("fallbacks in the working phase", tracked.working_fallbacks, Required::AtMost(0.0)),
         Figure::new("shortened steps in the working phase", tracked.limited, Required::AtMost(0.0)),
-        Figure::new("mean misfit from 20 s on", tracked.misfit.value(), Required::Within { of: 1.0, by: 0.03 }),
+        Figure::new(
+            format!("mean misfit, 20 to {} s", misfit_end(run, scenario, times)),
+            tracked.misfit.value(),
+            Required::Within { of: 1.0, by: 0.03 },
+        ),
     ];
-    let (first_end, by) = match scenario {
-        Scenario::Stationary => (170.0, 0.05),
-        Scenario::ExcitationSwells | Scenario::BothSwell => (150.0, 0.06),
-    };
-    let windows: Vec<[f64; 2]> = run.pick(vec![[20.0, first_end], [180.0, 300.0]], vec![[20.0, 60.0]]);
-    for [from, to] in windows {
-        for (level, name) in levels.iter().zip(["ground", "sensors"]) {
-            let (ratio, inside, relative_std) = agreement(level, from, to);
-            // a window of 40 s holds few of the level's own correlation times
-            let by = run.pick(by, 0.10);
-            figures.extend([
-                Figure::new(
-                    format!("{name}: mean over truth, {from} to {to} s"),
-                    ratio,
-                    Required::Within { of: 1.0, by },
-                ),
-                Figure::new(format!("{name}: share inside 3 sd, {from} to {to} s"), inside, Required::AtLeast(0.97)),
-            ]);
-            if scenario == Scenario::Stationary {
-                let (low, high) = if name == "ground" { (0.045, 0.06) } else { (0.024, 0.03) };
-                let required = Required::Between { low, high };
-                figures.push(Figure::new(
-                    format!("{name}: stated relative deviation, {from} to {to} s"),
-                    relative_std,
-                    required,
-                ));
-            }
-        }
-    }
-    if run.pick(true, false) {
-        if scenario == Scenario::Stationary {
-            let after = |level: &Course, pick: fn(f64, f64) -> f64, start: f64| {
-                let within = level.points.iter().filter(|point| (DAMAGE_S..DAMAGE_S + 10.0).contains(&point[0]));
-                within.map(|point| point[1]).fold(start, pick)
-            };
-            figures.extend([
-                Figure::new(
-                    "ground: lowest in the 10 s after the damage",
-                    after(&levels[0], f64::min, f64::INFINITY),
-                    Required::AtMost(0.93),
-                ),
-                Figure::new(
-                    "sensors: highest in the 10 s after the damage",
-                    after(&levels[1], f64::max, 0.0),
-                    Required::AtLeast(1.2),
-                ),
-            ]);
-        } else {
-            let (largest, at_s) = peak(&levels[0], 160.0);
-            figures.extend([
-                Figure::new(
-                    "ground: largest mean over 2 s (m²/s⁴)",
-                    largest * 18.85,
-                    Required::Between { low: 64.0, high: 83.0 },
-                )
-                .published(75.4),
-                Figure::new("ground: time of that (s)", at_s, Required::Between { low: 170.0, high: 182.0 })
-                    .published(170.0),
-                Figure::new(
-                    "ground: lag behind the truth (s)",
-                    lag(&levels[0], 100.0),
-                    Required::Between { low: 1.0, high: 8.0 },
-                ),
-            ]);
-        }
-    }
-    let windows: Vec<[f64; 2]> = run.pick(vec![[150.0, 170.0], [280.0, 300.0]], vec![[45.0, 60.0]]);
+    level_figures(run, scenario, times, levels, &mut figures);
     for (j, name) in NAMES.into_iter().enumerate() {
-        for [from, to] in &windows {
-            let (ratio, inside, _) = agreement(&parameters[j], *from, *to);
+        for (window, [from, to]) in times.parameters.into_iter().enumerate() {
+            let (ratio, inside, _) = agreement(&parameters[j], from, to);
             if j < MASSES {
                 let required = Required::Within { of: 1.0, by: run.pick(0.01, 0.03) };
                 figures.push(Figure::new(format!("{name}: mean over truth, {from} to {to} s"), ratio, required));
             }
+            // damping and hysteresis are learnt slowly: a minute after a start a third off they are on their way
+            let on_its_way = j >= MASSES && window == 0;
+            let required = Required::AtLeast(0.95);
             figures.push(Figure::new(
                 format!("{name}: share inside 3 sd, {from} to {to} s"),
                 inside,
-                Required::AtLeast(0.95),
+                if on_its_way { run.pick(required, Required::Reported) } else { required },
             ));
         }
-        if j < MASSES && run.pick(true, false) {
+        if j < MASSES {
             let after = if j < 2 { 0.90 } else { 0.95 };
-            let delay = parameters[j].delay(DAMAGE_S, 1.0, after, 0.5);
+            let delay = parameters[j].delay(times.damage, 1.0, after, 0.5);
             let required = if scenario == Scenario::Stationary { Required::AtMost(6.0) } else { Required::Reported };
             figures.push(Figure::new(format!("{name}: half of the drop seen after (s)"), delay, required));
         }
@@ -286,4 +264,74 @@ fn case(run: &Run<'_>, scenario: Scenario) -> Result<Outcome, ValidateError> {
     ];
     plots.extend(parameters.iter().zip(NAMES).map(|(course, name)| course.plot(name, "ratio to nominal", (0.6, 1.4))));
     Ok(Outcome { figures, tables: Vec::new(), plots })
+}
+
+/// Figures of the two noise levels.
+fn level_figures(run: &Run<'_>, scenario: Scenario, times: &Times, levels: &[Course; 2], figures: &mut Vec<Figure>) {
+    let stationary = scenario == Scenario::Stationary;
+    let [[from, to], after] = times.levels;
+    // a level that does not swell is judged up to the damage
+    let before = [from, if stationary { times.damage } else { to }];
+    let by = if stationary { 0.05 } else { 0.06 };
+    for (window, [from, to]) in [before, after].into_iter().enumerate() {
+        for (level, name) in levels.iter().zip(["ground", "sensors"]) {
+            let (ratio, inside, relative_std) = agreement(level, from, to);
+            // a window of 20 s holds few of the level's own correlation times, and 15 s after the damage a level that swells is
+            // still falling faster than the estimate
+            let swells =
+                scenario == Scenario::BothSwell || (scenario == Scenario::ExcitationSwells && name == "ground");
+            let falling = run.pick(false, window == 1 && swells);
+            let by = run.pick(by, 0.10);
+            let required = if falling { Required::Reported } else { Required::Within { of: 1.0, by } };
+            let covered = if falling { Required::Reported } else { Required::AtLeast(0.97) };
+            figures.extend([
+                Figure::new(format!("{name}: mean over truth, {from} to {to} s"), ratio, required),
+                Figure::new(format!("{name}: share inside 3 sd, {from} to {to} s"), inside, covered),
+            ]);
+            if stationary {
+                let (low, high) = if name == "ground" { (0.045, 0.06) } else { (0.024, 0.03) };
+                let name = format!("{name}: stated relative deviation, {from} to {to} s");
+                figures.push(Figure::new(name, relative_std, Required::Between { low, high }));
+            }
+        }
+    }
+    if stationary {
+        let extreme = |level: &Course, pick: fn(f64, f64) -> f64, start: f64| {
+            let within = level.points.iter().filter(|point| (times.damage..times.damage + 10.0).contains(&point[0]));
+            within.map(|point| point[1]).fold(start, pick)
+        };
+        figures.extend([
+            Figure::new(
+                "ground: lowest in the 10 s after the damage",
+                extreme(&levels[0], f64::min, f64::INFINITY),
+                Required::AtMost(0.93),
+            ),
+            Figure::new(
+                "sensors: highest in the 10 s after the damage",
+                extreme(&levels[1], f64::max, 0.0),
+                Required::AtLeast(1.2),
+            ),
+        ]);
+        return;
+    }
+    let (largest, at_s) = peak(&levels[0], times.swells + 10.0);
+    figures.extend([
+        Figure::new(
+            "ground: largest mean over 2 s (m²/s⁴)",
+            largest * 18.85,
+            Required::Between { low: 64.0, high: 83.0 },
+        )
+        .published(75.4),
+        Figure::new(
+            "ground: time of that after the height of the swelling (s)",
+            at_s - times.damage,
+            Required::Between { low: 0.0, high: 12.0 },
+        )
+        .published(0.0),
+        Figure::new(
+            "ground: lag behind the truth (s)",
+            lag(&levels[0], run.pick(100.0, 25.0)),
+            Required::Between { low: 1.0, high: 8.0 },
+        ),
+    ]);
 }

@@ -25,15 +25,41 @@ const RATE_HZ: f64 = 400.0;
 const CHANNELS: usize = 12;
 /// Fundamental period (s), by the printed frequency.
 const PERIOD_S: f64 = 1.0 / 0.47;
-const DAMAGE_S: [f64; 2] = [100.0, 200.0];
 /// Numbers of the groups that are damaged, and how much they lose.
 const DAMAGED: [usize; 2] = [0, 6];
 const LOSS: f64 = 0.05;
 /// Row of the horizontal acceleration of node 9, whose rms sets the noise.
 const REFERENCE: usize = 2;
 
+/// When what happens (s), and where it is looked at.
+struct Times {
+    end: f64,
+    damage: [f64; 2],
+    /// begin of the swelling where it is not the source's
+    swells: Option<f64>,
+    levels: &'static [[f64; 2]],
+    parameters: &'static [[f64; 2]],
+}
+
+/// Of the source.
+const FULL: Times = Times {
+    end: 300.0,
+    damage: [100.0, 200.0],
+    swells: None,
+    levels: &[[25.0, 120.0], [220.0, 300.0]],
+    parameters: &[[80.0, 100.0], [180.0, 200.0], [280.0, 300.0]],
+};
+/// The same events soon after the training.
+const QUICK: Times = Times {
+    end: 70.0,
+    damage: [38.0, 52.0],
+    swells: Some(36.0),
+    levels: &[[30.0, 36.0], [62.0, 70.0]],
+    parameters: &[[32.0, 38.0], [62.0, 70.0]],
+};
+
 /// The model and the parameters of the bridge with the sensors of this example, one ground motion, and its swelling.
-fn text(direction: &str, swells: Option<[f64; 2]>) -> String {
+fn text(direction: &str, swells: Option<[f64; 2]>, damage: [f64; 2]) -> String {
     let end = FILE.find("[[excitation]]").unwrap_or(FILE.len());
     let mut text = FILE[..end].replace("sampling-rate-hz = 250", "sampling-rate-hz = 400");
     // writing to a String does not fail
@@ -51,7 +77,7 @@ fn text(direction: &str, swells: Option<[f64; 2]>) -> String {
             );
         }
     }
-    let [first, second] = DAMAGE_S;
+    let [first, second] = damage;
     let _ = write!(
         text,
         "[simulation]\nseed = 1\n\n[[simulation.damage]]\nparameter = \"deck-1\"\nat-s = {first}\nloss = {LOSS}\n\n\
@@ -63,7 +89,7 @@ fn text(direction: &str, swells: Option<[f64; 2]>) -> String {
     text
 }
 
-/// Which ground motions there are, each with its swelling.
+/// Which ground motions there are, each with begin and rise of its swelling (s).
 struct Scenario {
     motions: &'static [(&'static str, &'static str, Option<[f64; 2]>)],
     published_end_s: f64,
@@ -86,9 +112,9 @@ fn swelling(time_s: f64, swells: Option<[f64; 2]>) -> f64 {
     })
 }
 
-fn stiffness(time_s: f64) -> [f64; GROUPS] {
+fn stiffness(time_s: f64, damage: [f64; 2]) -> [f64; GROUPS] {
     let mut theta = [1.0; GROUPS];
-    for (group, at_s) in DAMAGED.into_iter().zip(DAMAGE_S) {
+    for (group, at_s) in DAMAGED.into_iter().zip(damage) {
         theta[group] -= if time_s >= at_s { LOSS } else { 0.0 };
     }
     theta
@@ -129,9 +155,9 @@ fn settings(scenario: &Scenario, first: usize, inputs: usize) -> Result<FilterSe
 }
 
 /// The same bridge under all motions of a scenario: what the filter runs on.
-fn filtered_text(scenario: &Scenario) -> String {
+fn filtered_text(scenario: &Scenario, damage: [f64; 2]) -> String {
     let (_, direction, _) = scenario.motions[0];
-    let one = text(direction, None);
+    let one = text(direction, None, damage);
     match scenario.motions {
         [_] => one,
         _ => one.replace(
@@ -143,12 +169,13 @@ fn filtered_text(scenario: &Scenario) -> String {
 }
 
 fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
-    let seconds = run.pick(300.0, 34.0);
+    let times = run.pick(&FULL, &QUICK);
+    let begins = |swells: &Option<[f64; 2]>| swells.map(|[from_s, rise_s]| [times.swells.unwrap_or(from_s), rise_s]);
     let mut clean: Vec<f64> = Vec::new();
     let mut frames = 0;
     for (k, (_, direction, swells)) in scenario.motions.iter().enumerate() {
-        let text = text(direction, *swells);
-        let plan = Plan { text: &text, seconds, noise_share: 0.0, watched: &|_| Vec::new() };
+        let text = text(direction, begins(swells), times.damage);
+        let plan = Plan { text: &text, seconds: times.end, noise_share: 0.0, watched: &|_| Vec::new() };
         // motions of their own, and records of one seed and another never meet
         let scene = Scene::simulate_seeded(&plan, 10_000 * k as u64 + run.seed, run)?;
         frames = scene.frames;
@@ -159,8 +186,10 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
         }
     }
     let noise_std = 0.05 * rms(clean.iter().skip(REFERENCE).step_by(CHANNELS).copied());
-    let structure =
-        spandrel_structure::Structure::parse(&filtered_text(scenario), std::path::Path::new("bridge.toml"))?;
+    let structure = spandrel_structure::Structure::parse(
+        &filtered_text(scenario, times.damage),
+        std::path::Path::new("bridge.toml"),
+    )?;
     let first = 2 * structure.degrees_of_freedom().len();
     let inputs = scenario.motions.len();
     let settings = settings(scenario, first, inputs)?;
@@ -184,14 +213,14 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
             misfit.take(step.normalised_innovation_squared / CHANNELS as f64);
         }
         if frame % 10 == 0 {
-            let theta = stiffness(time_s);
+            let theta = stiffness(time_s, times.damage);
             for (j, course) in parameters.iter_mut().enumerate() {
                 let truth = theta.get(j).copied().unwrap_or(1.0);
                 course.take(time_s, filter.mean()[first + j], filter.covariance()[(first + j, first + j)], truth);
             }
             for (l, course) in levels.iter_mut().enumerate() {
                 let (scale, truth) = match scenario.motions.get(l) {
-                    Some((.., swells)) => (unit, swelling(time_s, *swells).powi(2)),
+                    Some((.., swells)) => (unit, swelling(time_s, begins(swells)).powi(2)),
                     None => (noise_std * noise_std, 1.0),
                 };
                 let (mean, variance) = (filter.noise().mean[l], filter.noise().covariance[(l, l)]);
@@ -212,10 +241,9 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
     ];
     let names: Vec<&str> = scenario.motions.iter().map(|(name, ..)| *name).chain(["sensors"]).collect();
     let full = |required: Required| run.pick(required, Required::Reported);
-    let windows: &[[f64; 2]] = run.pick(&[[25.0, 120.0], [220.0, 300.0]], &[[30.0, 34.0]]);
     for (level, name) in levels.iter().zip(&names) {
-        for [from, to] in windows {
-            let (ratio, inside, relative_std) = agreement(level, *from, *to);
+        for &[from, to] in times.levels {
+            let (ratio, inside, relative_std) = agreement(level, from, to);
             let by = match *name {
                 "sensors" => 0.03,
                 "vertical" => 0.05,
@@ -226,7 +254,12 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
                 Figure::new(
                     format!("{name}: mean over truth, {from} to {to} s"),
                     ratio,
-                    full(Required::Within { of: 1.0, by }),
+                    // six seconds are long beside the correlation time of the sensors' level only
+                    if *name == "sensors" {
+                        Required::Within { of: 1.0, by: run.pick(by, 0.05) }
+                    } else {
+                        full(Required::Within { of: 1.0, by })
+                    },
                 ),
                 Figure::new(
                     format!("{name}: share inside 3 sd, {from} to {to} s"),
@@ -236,7 +269,7 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
             ]);
             let required = match (*name, inputs) {
                 ("horizontal", 1) => full(Required::Between { low: 0.08, high: 0.11 }),
-                ("sensors", 1) => full(Required::Between { low: 0.010, high: 0.013 }),
+                ("sensors", 1) => Required::Between { low: 0.010, high: 0.013 },
                 _ => Required::Reported,
             };
             figures.push(Figure::new(
@@ -246,50 +279,61 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
             ));
         }
     }
-    if run.pick(true, false) {
-        let swelling = scenario.motions.iter().position(|(.., swells)| swells.is_some()).unwrap_or(0);
-        let (low, high, times, lags) = match inputs {
-            1 => (3.2, 4.4, [140.0, 155.0], [1.0, 8.0]),
-            _ => (2.5, 3.8, [160.0, 176.0], [2.0, 9.0]),
-        };
-        let (largest, at_s) = peak(&levels[swelling], 120.0);
-        figures.extend([
-            Figure::new(
-                "swelling motion: largest mean over 2 s, over its level",
-                largest,
-                Required::Between { low, high },
-            )
+    let swelling = scenario.motions.iter().position(|(.., swells)| swells.is_some()).unwrap_or(0);
+    let height_s = begins(&scenario.motions[swelling].2).map_or(f64::NAN, |[from_s, rise_s]| from_s + rise_s);
+    let (low, high, after, lags) = match inputs {
+        1 => (3.2, 4.4, [0.0, 15.0], [1.0, 8.0]),
+        _ => (2.5, 3.8, [0.0, 16.0], [2.0, 9.0]),
+    };
+    let (largest, at_s) = peak(&levels[swelling], height_s - 20.0);
+    figures.extend([
+        Figure::new("swelling motion: largest mean over 2 s, over its level", largest, Required::Between { low, high })
             .published(4.0),
-            Figure::new("swelling motion: time of that (s)", at_s, Required::Between { low: times[0], high: times[1] }),
-            Figure::new(
-                "swelling motion: lag behind the truth (s)",
-                lag(&levels[swelling], 60.0),
-                Required::Between { low: lags[0], high: lags[1] },
-            ),
-        ]);
-        for (group, jump) in DAMAGED.into_iter().zip(DAMAGE_S) {
-            let delay = parameters[group].delay(jump, 1.0, 1.0 - LOSS, 0.5);
-            figures.push(Figure::new(
-                format!("group {}: half of the drop seen after (s)", group + 1),
-                delay,
-                Required::AtMost(5.0),
-            ));
-        }
+        Figure::new(
+            "swelling motion: time of that after its height (s)",
+            at_s - height_s,
+            Required::Between { low: after[0], high: after[1] },
+        )
+        .published(0.0),
+        Figure::new(
+            "swelling motion: lag behind the truth (s)",
+            lag(&levels[swelling], run.pick(60.0, 30.0)),
+            Required::Between { low: lags[0], high: lags[1] },
+        ),
+    ]);
+    for (group, jump) in DAMAGED.into_iter().zip(times.damage) {
+        let delay = parameters[group].delay(jump, 1.0, 1.0 - LOSS, 0.5);
+        figures.push(Figure::new(
+            format!("group {}: half of the drop seen after (s)", group + 1),
+            delay,
+            Required::AtMost(5.0),
+        ));
     }
-    let windows: &[[f64; 2]] = run.pick(&[[80.0, 100.0], [180.0, 200.0], [280.0, 300.0]], &[[30.0, 34.0]]);
     let parameter_names: Vec<&str> = structure.parameters().iter().map(|parameter| parameter.name()).collect();
     for (j, name) in parameter_names.iter().enumerate() {
-        for [from, to] in windows {
-            let (ratio, inside, _) = agreement(&parameters[j], *from, *to);
+        for &[from, to] in times.parameters {
+            let (ratio, inside, _) = agreement(&parameters[j], from, to);
             if j < GROUPS {
                 let required = Required::Within { of: 1.0, by: run.pick(0.01, 0.05) };
                 figures.push(Figure::new(format!("{name}: mean over truth, {from} to {to} s"), ratio, required));
             }
-            figures.push(Figure::new(
-                format!("{name}: share inside 3 sd, {from} to {to} s"),
-                inside,
-                full(Required::AtLeast(0.95)),
-            ));
+            let course = &parameters[j];
+            let truth = if j < GROUPS { stiffness(from, times.damage)[j] } else { 1.0 };
+            // the shortened record ends while the last tenth of a drop is still to be seen
+            let is_on_its_way = DAMAGED.contains(&j) && from > times.damage[0];
+            let settled = |required| if is_on_its_way { full(required) } else { required };
+            figures.extend([
+                Figure::new(
+                    format!("{name}: distance of the mean from the truth in deviations, {from} to {to} s"),
+                    (course.mean(from, to) - truth).abs() / course.std(from, to),
+                    settled(Required::AtMost(3.0)),
+                ),
+                Figure::new(
+                    format!("{name}: share inside 3 sd, {from} to {to} s"),
+                    inside,
+                    settled(Required::AtLeast(0.95)),
+                ),
+            ]);
         }
     }
     let mut plots: Vec<Plot> = levels

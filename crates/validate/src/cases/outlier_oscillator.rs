@@ -83,6 +83,8 @@ struct Tracked {
     scale: f64,
     evaluated: f64,
     curve: Vec<[f32; 3]>,
+    /// one sample in twenty, and all that were rejected
+    samples: [Vec<(f32, f32)>; 2],
 }
 
 fn track(
@@ -117,6 +119,7 @@ fn track(
         scale: 0.0,
         evaluated: 0.0,
         curve: Vec::new(),
+        samples: Default::default(),
     };
     for (i, datum) in data.iter().enumerate() {
         let time_s = i as f64 * STEP_S;
@@ -136,6 +139,12 @@ fn track(
         {
             let channel = &outliers.channels()[0];
             let rejected = f64::from(u8::from(channel.verdict() != Verdict::Regular));
+            let sample = (time_s as f32, *datum as f32);
+            if rejected > 0.0 {
+                tracked.samples[1].push(sample);
+            } else if i % 20 == 0 {
+                tracked.samples[0].push(sample);
+            }
             let count = |counts: &mut [f64; 2], counted: f64| {
                 counts[0] += counted;
                 counts[1] += 1.0;
@@ -195,6 +204,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let (mut masked, mut gross, mut swamped) = ([0.0; 2], [0.0; 2], [0.0; 2]);
     let (mut scale, mut evaluated) = (Mean::default(), Mean::default());
     let mut shown = Vec::new();
+    let mut samples = Vec::new();
     for repeat in 0..repeats {
         // records of one seed and another never meet
         let record = simulate(1_000 * run.seed + repeat, steps, drops);
@@ -213,6 +223,13 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                 }
                 scale.take(tracked.scale);
                 evaluated.take(tracked.evaluated);
+            }
+            if repeat == 0 && screened {
+                let [accepted, rejected] = tracked.samples;
+                samples = vec![
+                    Series::new("accepted, one in twenty", SeriesKind::Points, accepted),
+                    Series::new("rejected", SeriesKind::Points, rejected),
+                ];
             }
             if repeat == 0 {
                 shown.push((tracked.curve, record.truth.clone()));
@@ -248,10 +265,14 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let share = |counts: [f64; 2]| counts[0] / counts[1];
     figures.extend([
         Figure::new("swamping", share(swamped), Required::Between { low: 0.003, high: 0.013 }).published(0.0031),
-        // an outlier anywhere in the range of the response often lies where a regular sample would
-        Figure::new("masking", share(masked), Required::Between { low: 0.08, high: 0.15 }),
-        Figure::new("masking beyond five scales of the residuals", share(gross), Required::AtMost(0.002))
+        // an outlier anywhere in the range of the response often lies where a regular sample would, and has to be accepted
+        Figure::new("masking, raw: of all wrong samples", share(masked), Required::Between { low: 0.08, high: 0.15 })
             .published(0.0002),
+        Figure::new(
+            "masking, of wrong samples farther than five scales of the residuals from the clean one",
+            share(gross),
+            Required::AtMost(0.002),
+        ),
         Figure::new("scale over the noise at the end", scale.value(), Required::Between { low: 1.22, high: 1.37 }),
         Figure::new(
             "share of samples whose probability was evaluated",
@@ -296,5 +317,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         ];
         Plot::over_time(title, "θ_k", series).within(0.5, 1.5)
     });
-    Ok(Outcome { figures, tables: vec![table], plots: plots.collect() })
+    let mut plots: Vec<Plot> = plots.collect();
+    plots.push(Plot::over_time("Samples after the training, proposed filter", "acceleration (m/s²)", samples));
+    Ok(Outcome { figures, tables: vec![table], plots })
 }

@@ -101,6 +101,89 @@ fn settings(run: &Run<'_>) -> ParticleSettings {
     ParticleSettings { particles: PARTICLES, seed: run.seed, ..ParticleSettings::default() }
 }
 
+/// How well damping and noise levels of the building are followed in the first seconds, in the mean over the storeys.
+#[derive(Default)]
+struct Early {
+    damping_error: f64,
+    damping_coverage: f64,
+    noise_coverage: f64,
+}
+
+/// Steps of that, 5 s.
+const EARLY: usize = 250;
+
+/// Follows the building for the first 5 s with so many particles and a kernel.
+fn early(
+    record: &building::Record,
+    start: GaussianStart,
+    settings: ParticleSettings,
+    go_on: impl Fn(f64) -> bool,
+) -> Result<Early, ValidateError> {
+    use building::{DAMPING, NOISE, STEP_S, STOREYS};
+    let model = record.model().map_err(ValidateError::setting)?;
+    let mut filter = ParticleFilter::new(model, settings, start).map_err(ValidateError::setting)?;
+    let mut tracks: Vec<Track> = (DAMPING..NOISE + STOREYS).map(Track::new).collect();
+    for k in WARM + 1..=EARLY {
+        let frame = Frame { observations: &record.data[k], excitation: &[record.input[k]] };
+        filter.step(frame).map_err(ValidateError::at(k as f64 * STEP_S))?;
+        tracks.iter_mut().for_each(|track| track.take(&mut filter, &record.truth[k]));
+        if !go_on(k as f64 / EARLY as f64) {
+            return Err(ValidateError::Stopped);
+        }
+    }
+    let (damping, noise) = tracks.split_at(STOREYS);
+    let mean = |tracks: &[Track], of: fn(&Track) -> f64| tracks.iter().map(of).sum::<f64>() / tracks.len() as f64;
+    Ok(Early {
+        damping_error: mean(damping, Track::error),
+        damping_coverage: mean(damping, Track::coverage),
+        noise_coverage: mean(noise, Track::coverage),
+    })
+}
+
+/// What a kernel at the resampling and more particles bring while few ancestors are left.
+fn depletion_figures(
+    record: &building::Record,
+    start: &dyn Fn() -> GaussianStart,
+    run: &Run<'_>,
+    shares: (f64, f64),
+    figures: &mut Vec<Figure>,
+) -> Result<(), ValidateError> {
+    const VARIANTS: [(&str, usize, f64); 4] = [
+        ("no kernel", PARTICLES, 1.0),
+        ("kernel 0.9", PARTICLES, 0.9),
+        ("kernel 0.8", PARTICLES, 0.8),
+        ("kernel 0.9, four times the particles", 4 * PARTICLES, 0.9),
+    ];
+    let mut found = Vec::new();
+    for (number, (name, particles, kernel)) in VARIANTS.into_iter().enumerate() {
+        let settings = ParticleSettings { particles, kernel, ..settings(run) };
+        let share = |done: f64| shares.0 + (shares.1 - shares.0) * (number as f64 + done) / VARIANTS.len() as f64;
+        let early = early(record, start(), settings, |done| run.advance(share(done)))?;
+        let of = |what: &str| format!("first 5 s, {name}: {what}");
+        figures.extend([
+            Figure::new(of("mean error of the damping"), early.damping_error, Required::Reported),
+            Figure::new(of("mean coverage of the damping"), early.damping_coverage, Required::Reported),
+            Figure::new(of("mean coverage of the noise levels"), early.noise_coverage, Required::Reported),
+        ]);
+        found.push(early);
+    }
+    if let [none, kernel, _, many] = &found[..] {
+        figures.extend([
+            Figure::new(
+                "first 5 s: coverage of the damping that the kernel brings",
+                kernel.damping_coverage - none.damping_coverage,
+                Required::AtLeast(0.0),
+            ),
+            Figure::new(
+                "first 5 s: coverage of the damping that four times the particles bring",
+                many.damping_coverage - kernel.damping_coverage,
+                Required::AtLeast(0.0),
+            ),
+        ]);
+    }
+    Ok(())
+}
+
 pub(super) fn drifting_building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     use building::{DAMPING, NOISE, Record, STEP_S, STIFFNESS, STOREYS};
     let steps = run.pick(1000, 600);
@@ -114,13 +197,14 @@ pub(super) fn drifting_building(run: &Run<'_>) -> Result<Outcome, ValidateError>
         kalman.step(previous.as_ref().map(|input| &input[..]), &[record.input[k]], &record.data[k]);
     };
     (0..=WARM).for_each(|k| step_kalman(&mut kalman, k));
-    let start = GaussianStart {
-        mean: kalman.mean.clone(),
-        covariance: kalman.covariance.clone(),
+    let (warm_mean, warm_covariance) = (kalman.mean.clone(), kalman.covariance.clone());
+    let start = || GaussianStart {
+        mean: warm_mean.clone(),
+        covariance: warm_covariance.clone(),
         previous_input: Some(DVector::from_element(1, record.input[WARM])),
     };
     let kernel = ParticleSettings { kernel: 0.9, ..settings(run) };
-    let mut filter = ParticleFilter::new(model()?, kernel, start).map_err(ValidateError::setting)?;
+    let mut filter = ParticleFilter::new(model()?, kernel, start()).map_err(ValidateError::setting)?;
     let components: Vec<usize> = (STIFFNESS..NOISE + STOREYS).chain([STOREYS - 1]).collect();
     let mut tracks: Vec<Track> = components.iter().map(|component| Track::new(*component)).collect();
     let mut by_kalman: Vec<Track> = (STIFFNESS..NOISE).map(Track::new).collect();
@@ -131,7 +215,7 @@ pub(super) fn drifting_building(run: &Run<'_>) -> Result<Outcome, ValidateError>
         tracks.iter_mut().for_each(|track| track.take(&mut filter, &record.truth[k]));
         step_kalman(&mut kalman, k);
         by_kalman.iter_mut().for_each(|track| track.take_gaussian(&kalman, &record.truth[k]));
-        if !run.advance(k as f64 / steps as f64) {
+        if !run.advance(run.pick(0.4, 1.0) * k as f64 / steps as f64) {
             return Err(ValidateError::Stopped);
         }
     }
@@ -180,6 +264,9 @@ pub(super) fn drifting_building(run: &Run<'_>) -> Result<Outcome, ValidateError>
     for (storey, track) in by_kalman.iter().take(STOREYS).enumerate() {
         let name = format!("k{}: relative error of the extended Kalman filter", storey + 1);
         figures.push(Figure::new(name, track.error(), Required::Reported));
+    }
+    if run.pick(true, false) {
+        depletion_figures(&record, &start, run, (0.4, 1.0), &mut figures)?;
     }
     let from_s = (WARM + 1) as f64 * STEP_S;
     let plots = (0..STOREYS)
@@ -246,7 +333,7 @@ pub(super) fn hysteretic(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         }
         Ok(filter.log_evidence())
     };
-    let (optimal_runs, prior_runs) = run.pick((3, 10), (1, 4));
+    let (optimal_runs, prior_runs) = run.pick((10, 10), (1, 4));
     let mut all = [Vec::new(), Vec::new()];
     for seed in 1..=prior_runs {
         all[1].push(evidence(ImportanceDensity::Prior, seed)?);

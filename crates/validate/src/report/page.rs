@@ -1,19 +1,18 @@
-//! The report as a page, as a table in Markdown, and as lines on a terminal.
+//! What the page says in either format, the lines on a terminal, and the files.
 
-use super::{CaseReport, FigureReport, Report, drawing};
+use super::{CaseReport, FigureReport, Program, Report, drawing, html, markdown};
+use crate::cases::cases;
 use crate::error::ValidateError;
-use crate::figure::{Judgement, Required, number};
-use crate::outcome::Table;
+use crate::figure::{Judgement, Required, measured_number, number};
 use crate::run::Length;
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
 
-const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}\
-table{border-collapse:collapse;margin:.6rem 0 1.2rem}td,th{border:1px solid #ccc;padding:.15rem .55rem;text-align:right}\
-td:first-child,th:first-child{text-align:left}th{background:#f3f3f3}.missed{background:#fbdcdc}img{max-width:100%}\
-code{background:#f3f3f3;padding:0 .2rem}";
+/// Where the diagrams are, beside the pages.
+const DIAGRAMS: &str = "diagrams";
 
-/// Returns a heading and one line for each figure of each case.
+/// Returns a heading and one line for each figure of each case that was asked for.
 pub(super) fn text(report: &Report) -> String {
     let mut text = String::new();
     for case in &report.cases {
@@ -34,16 +33,32 @@ pub(super) fn text(report: &Report) -> String {
             let _ = writeln!(text, "  failed   seed {seed}: {why}");
         }
     }
-    let (passed, judged, missed) = count(report);
+    let Count { holds, missed, .. } = Count::of(report.cases.iter());
     let failed = report.cases.iter().map(|case| case.failures.len()).sum::<usize>();
-    let _ = writeln!(text, "{passed} of {judged} figures as required, {missed} missed, {failed} runs failed");
+    let _ = writeln!(text, "{holds} of {} figures as required, {missed} missed, {failed} runs failed", holds + missed);
     text
 }
 
-fn count(report: &Report) -> (usize, usize, usize) {
-    let judged = report.figures().filter(|figure| figure.required != Required::Reported);
-    let (passed, missed): (Vec<_>, Vec<_>) = judged.partition(|figure| figure.passed);
-    (passed.len(), passed.len() + missed.len(), missed.len())
+/// How many figures there are of each verdict.
+#[derive(Debug, Clone, Copy, Default)]
+struct Count {
+    holds: usize,
+    missed: usize,
+    reported: usize,
+}
+
+impl Count {
+    fn of<'a>(cases: impl Iterator<Item = &'a CaseReport>) -> Self {
+        let mut count = Self::default();
+        for figure in cases.flat_map(|case| &case.figures) {
+            match (figure.required, figure.passed) {
+                (Required::Reported, _) => count.reported += 1,
+                (_, true) => count.holds += 1,
+                (_, false) => count.missed += 1,
+            }
+        }
+        count
+    }
 }
 
 fn verdict(figure: &FigureReport) -> &'static str {
@@ -55,7 +70,8 @@ fn verdict(figure: &FigureReport) -> &'static str {
 }
 
 fn measured(figure: &FigureReport) -> Vec<String> {
-    figure.measured.iter().map(|value| value.map_or("none".to_owned(), number)).collect()
+    let text = |value| measured_number(value, &figure.required);
+    figure.measured.iter().map(|value| value.map_or("none".to_owned(), text)).collect()
 }
 
 fn judged(judgement: Judgement, seeds: usize) -> &'static str {
@@ -69,32 +85,50 @@ fn judged(judgement: Judgement, seeds: usize) -> &'static str {
 
 /// Writes the pages and the diagrams.
 pub(super) fn write(report: &Report, directory: &Path) -> Result<(), ValidateError> {
+    let failed = |path: &Path| {
+        let path = path.to_owned();
+        move |source| ValidateError::File { path, source }
+    };
     let put = |name: &str, text: &str| {
         let path = directory.join(name);
-        std::fs::write(&path, text).map_err(|source| ValidateError::File { path, source })
+        std::fs::write(&path, text).map_err(failed(&path))
     };
-    std::fs::create_dir_all(directory).map_err(|source| ValidateError::File { path: directory.to_owned(), source })?;
-    for case in &report.cases {
+    let diagrams = directory.join(DIAGRAMS);
+    std::fs::create_dir_all(&diagrams).map_err(failed(&diagrams))?;
+    let mut drawn = BTreeSet::new();
+    for case in report.on_page() {
         for (index, plot) in case.plots.iter().enumerate() {
-            put(&drawing_name(case, index), &drawing::svg(plot)?)?;
+            let name = drawing_name(case, index);
+            put(&name, &drawing::svg(plot)?)?;
+            drawn.insert(directory.join(name));
         }
     }
-    put("index.html", &html(report))?;
-    put("figures.md", &markdown(report))
+    // those of an earlier report, by their names only: other files are not ours
+    let ours = |name: &str| name.ends_with(".svg") && cases().iter().any(|case| name.starts_with(case.name));
+    for entry in std::fs::read_dir(&diagrams).map_err(failed(&diagrams))?.flatten() {
+        if entry.file_name().to_str().is_some_and(ours) && !drawn.contains(&entry.path()) {
+            std::fs::remove_file(entry.path()).map_err(failed(&entry.path()))?;
+        }
+    }
+    put("index.html", &html::page(report))?;
+    put("figures.md", &markdown::page(report))
 }
 
-fn drawing_name(case: &CaseReport, index: usize) -> String {
-    format!("{}-{}.svg", case.name, index + 1)
+/// Path of a diagram beside the page.
+pub(super) fn drawing_name(case: &CaseReport, index: usize) -> String {
+    format!("{DIAGRAMS}/{}-{}.svg", case.name, index + 1)
 }
 
-fn heads(report: &Report) -> Vec<String> {
+/// Heads of the table of figures of a case.
+pub(super) fn heads(case: &CaseReport) -> Vec<String> {
     let mut heads: Vec<String> = ["figure", "published", "required"].map(str::to_owned).to_vec();
-    heads.extend(report.seeds.iter().map(|seed| format!("seed {seed}")));
+    heads.extend(case.seeds.iter().map(|seed| format!("seed {seed}")));
     heads.push("verdict".to_owned());
     heads
 }
 
-fn row(figure: &FigureReport) -> Vec<String> {
+/// A row of the table of figures.
+pub(super) fn row(figure: &FigureReport) -> Vec<String> {
     let mut row = vec![
         figure.figure.clone(),
         figure.published.map_or("–".to_owned(), number),
@@ -105,91 +139,60 @@ fn row(figure: &FigureReport) -> Vec<String> {
     row
 }
 
-fn introduction(report: &Report) -> String {
-    let (passed, judged, missed) = count(report);
-    let records = match report.length {
-        Length::Full => "records of full length",
-        Length::Quick => "shortened records",
+/// The paragraphs above the contents.
+pub(super) fn introduction(report: &Report) -> Vec<String> {
+    let on_page = report.on_page();
+    let Count { holds, missed, reported } = Count::of(on_page.iter().copied());
+    let (records, option) = match report.length {
+        Length::Full => ("records of full length", ""),
+        Length::Quick => ("shortened records", " --quick"),
     };
-    let seeds = if report.seeds.len() == 1 { "one seed" } else { "several seeds" };
-    format!("{passed} of {judged} figures are as required, {missed} are missed; {records}, {seeds}.")
-}
-
-fn html(report: &Report) -> String {
-    let mut page = String::new();
-    let _ = write!(
-        page,
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Spandrel: validation</title><style>{STYLE}</style>\
-         <h1>Spandrel: published examples, rebuilt</h1><p>{}</p>",
-        introduction(report)
-    );
-    for case in &report.cases {
-        let (name, title, source) = (escaped(case.name), escaped(case.title), escaped(case.source));
-        let _ = write!(page, "<h2 id=\"{name}\">{title}</h2><p><code>{name}</code>, {source}</p>");
-        for (seed, why) in &case.failures {
-            let _ = write!(page, "<p class=\"missed\">seed {seed} failed: {}</p>", escaped(why));
-        }
-        let rows = case.figures.iter().map(|figure| (row(figure), !figure.passed)).collect::<Vec<_>>();
-        html_table(&mut page, &heads(report), &rows);
-        for Table { title, columns, rows } in &case.tables {
-            let _ = write!(page, "<h3>{}</h3>", escaped(title));
-            let rows = rows.iter().map(|row| (row.clone(), false)).collect::<Vec<_>>();
-            html_table(&mut page, columns, &rows);
-        }
-        for (index, plot) in case.plots.iter().enumerate() {
-            let _ = write!(
-                page,
-                "<p><img src=\"{}\" alt=\"{}\"></p>",
-                escaped(&drawing_name(case, index)),
-                escaped(&plot.title)
-            );
-        }
+    let seeds = on_page.iter().map(|case| case.seeds.len()).max().unwrap_or(0);
+    let mut paragraphs = vec![
+        format!(
+            "{holds} of {} figures are as required, {missed} are missed, {reported} more are reported; {records}. Written by \
+             spandrel {} with `spandrel validate{option} --seeds {seeds} --report DIRECTORY`.",
+            holds + missed,
+            env!("CARGO_PKG_VERSION"),
+        ),
+        "A figure *holds* when the number of every seed is what is required, or, where the requirement says so, their mean or \
+         that of two seeds in three; otherwise it is *MISSED*, and docs/validation.md says why. A *reported* figure is shown \
+         and not judged: a limit of the method, or a quantity of one record. *Published* is what the source printed. Tables \
+         and diagrams are of the first seed. Seconds are of wall time, beside the runs that went on at the same time."
+            .to_owned(),
+    ];
+    if on_page.iter().any(|case| case.program == Program::Another) {
+        paragraphs
+            .push("Cases marked with * were run by another build of the program than wrote this page.".to_owned());
     }
-    page.push_str("</html>\n");
-    page
+    let absent = cases().iter().filter(|case| !on_page.iter().any(|on_page| on_page.name == case.name));
+    let absent: Vec<String> = absent.map(|case| format!("`{}`", case.name)).collect();
+    if !absent.is_empty() {
+        paragraphs.push(format!("No outcome is kept of {}.", absent.join(", ")));
+    }
+    paragraphs
 }
 
-fn html_table(page: &mut String, columns: &[String], rows: &[(Vec<String>, bool)]) {
-    let cells = |cells: &[String], tag: &str| -> String {
-        cells.iter().map(|cell| format!("<{tag}>{}</{tag}>", escaped(cell))).collect()
+/// Heads of the contents.
+pub(super) const CONTENTS: [&str; 9] =
+    ["case", "what", "source", "version", "holds", "missed", "reported", "seeds", "seconds of each"];
+
+/// A row of the contents, without the name of the case.
+pub(super) fn contents_row(case: &CaseReport) -> [String; 8] {
+    let Count { holds, missed, reported } = Count::of(std::iter::once(case));
+    let other = match case.program {
+        Program::This => "",
+        Program::Another => " *",
     };
-    let _ = write!(page, "<table><tr>{}</tr>", cells(columns, "th"));
-    for (row, missed) in rows {
-        let class = if *missed { " class=\"missed\"" } else { "" };
-        let _ = write!(page, "<tr{class}>{}</tr>", cells(row, "td"));
-    }
-    page.push_str("</table>");
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
-fn markdown(report: &Report) -> String {
-    let mut page = format!("# Published examples, rebuilt\n\n{}\n", introduction(report));
-    for case in &report.cases {
-        let _ = write!(page, "\n## {}\n\n`{}`, {}\n\n", case.title, case.name, case.source);
-        for (seed, why) in &case.failures {
-            let _ = write!(page, "Seed {seed} failed: {why}\n\n");
-        }
-        let rows: Vec<Vec<String>> = case.figures.iter().map(row).collect();
-        markdown_table(&mut page, &heads(report), &rows);
-        for Table { title, columns, rows } in &case.tables {
-            let _ = write!(page, "\n{title}\n\n");
-            markdown_table(&mut page, columns, rows);
-        }
-        for (index, plot) in case.plots.iter().enumerate() {
-            let _ = write!(page, "\n![{}]({})\n", plot.title, drawing_name(case, index));
-        }
-    }
-    page
-}
-
-fn markdown_table(page: &mut String, columns: &[String], rows: &[Vec<String>]) {
-    let line = |cells: &[String]| format!("| {} |\n", cells.join(" | ").replace('\n', " "));
-    page.push_str(&line(columns));
-    page.push_str(&line(&vec!["---".to_owned(); columns.len()]));
-    for row in rows {
-        page.push_str(&line(row));
-    }
+    let each = |values: Vec<String>| values.join(", ");
+    [
+        case.title.to_owned(),
+        case.source.to_owned(),
+        format!("{}{other}", each(case.versions.clone())),
+        holds.to_string(),
+        missed.to_string(),
+        reported.to_string(),
+        each(case.seeds.iter().map(u64::to_string).collect()),
+        each(case.seconds.iter().map(|seconds| seconds.map_or("none".to_owned(), |s| format!("{s:.1}"))).collect()),
+    ]
 }

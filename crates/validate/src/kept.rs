@@ -1,0 +1,102 @@
+//! Outcomes that are kept, so that a stopped run goes on, and so that a report of some cases still shows the others.
+
+use crate::cases::Case;
+use crate::error::ValidateError;
+use crate::outcome::Outcome;
+use crate::run::Length;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// One run that is done.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Done {
+    /// Tells the program that made it from others.
+    mark: String,
+    /// Its version.
+    pub(crate) version: String,
+    /// How long it took (s), beside whatever else ran then.
+    pub(crate) seconds: f64,
+    pub(crate) outcome: Outcome,
+}
+
+/// Where outcomes are kept, and under which mark of the program that makes them.
+#[derive(Debug)]
+pub(crate) struct Kept {
+    directory: PathBuf,
+    mark: String,
+}
+
+impl Done {
+    /// Makes one of this program.
+    pub(crate) fn new(mark: &str, seconds: f64, outcome: Outcome) -> Self {
+        Self { mark: mark.to_owned(), version: env!("CARGO_PKG_VERSION").to_owned(), seconds, outcome }
+    }
+}
+
+impl Kept {
+    pub(crate) fn new(directory: &Path, mark: String) -> Self {
+        Self { directory: directory.to_owned(), mark }
+    }
+
+    pub(crate) fn mark(&self) -> &str {
+        &self.mark
+    }
+
+    /// Makes the directory, which keeps itself out of version control: outcomes hold every curve.
+    pub(crate) fn prepare(&self) -> Result<(), ValidateError> {
+        let path = &self.directory;
+        let ignore = path.join(".gitignore");
+        std::fs::create_dir_all(path)
+            .and_then(|()| std::fs::write(&ignore, "*\n"))
+            .map_err(|source| ValidateError::File { path: path.clone(), source })
+    }
+
+    fn prefix(case: &Case, length: Length) -> String {
+        let length = match length {
+            Length::Full => "full",
+            Length::Quick => "quick",
+        };
+        format!("{}.{length}.seed-", case.name)
+    }
+
+    fn path(&self, case: &Case, seed: u64, length: Length) -> PathBuf {
+        self.directory.join(format!("{}{seed}.json", Self::prefix(case, length)))
+    }
+
+    fn any(&self, case: &Case, seed: u64, length: Length) -> Option<Done> {
+        let text = std::fs::read_to_string(self.path(case, seed, length)).ok()?;
+        // a file that was cut off is as good as none: the case is run again
+        serde_json::from_str(&text).ok()
+    }
+
+    /// Returns the outcome of a run that this program made.
+    pub(crate) fn read(&self, case: &Case, seed: u64, length: Length) -> Option<Done> {
+        self.any(case, seed, length).filter(|done| done.mark == self.mark)
+    }
+
+    /// Returns all outcomes of a case with their seeds in order, whichever program made them.
+    pub(crate) fn read_all(&self, case: &Case, length: Length) -> Vec<(u64, Done)> {
+        let prefix = Self::prefix(case, length);
+        let entries = std::fs::read_dir(&self.directory).into_iter().flatten().flatten();
+        let seed = |name: &str| name.strip_prefix(&prefix)?.strip_suffix(".json")?.parse::<u64>().ok();
+        let mut seeds: Vec<u64> = entries.filter_map(|entry| seed(entry.file_name().to_str()?)).collect();
+        seeds.sort_unstable();
+        seeds.into_iter().filter_map(|seed| Some((seed, self.any(case, seed, length)?))).collect()
+    }
+
+    /// Says whether this program made an outcome.
+    pub(crate) fn is_own(&self, done: &Done) -> bool {
+        done.mark == self.mark
+    }
+
+    pub(crate) fn write(&self, case: &Case, seed: u64, length: Length, done: &Done) -> Result<(), ValidateError> {
+        let path = self.path(case, seed, length);
+        let text = serde_json::to_string(done).map_err(std::io::Error::from);
+        let write = |text: String| {
+            let unfinished = path.with_extension("json.part");
+            std::fs::write(&unfinished, text)?;
+            std::fs::rename(&unfinished, &path)
+        };
+        text.and_then(write).map_err(|source| ValidateError::File { path: path.clone(), source })
+    }
+}
