@@ -215,6 +215,13 @@ impl Structure {
         self.channels().filter(|channel| !channel.quantity().is_excitation())
     }
 
+    /// Returns the natural frequencies as designed (Hz), lowest first; none where they cannot be computed.
+    #[must_use]
+    pub fn natural_frequencies_hz(&self) -> Vec<f64> {
+        let modes = self.nominal_modes().map(|modes| modes.angular_frequencies).unwrap_or_default();
+        modes.iter().map(|omega| omega / (2.0 * std::f64::consts::PI)).collect()
+    }
+
     /// Returns the undamped modes as designed.
     pub(crate) fn nominal_modes(&self) -> Option<Modes> {
         Modes::of(&self.system, &vec![1.0; self.system.substructures.len()])

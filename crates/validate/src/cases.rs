@@ -8,6 +8,7 @@ mod class_bouc_wen;
 mod class_dome;
 mod class_high_rise;
 mod classes;
+mod distributed;
 mod ekf_bouc_wen;
 mod ekf_bridge;
 mod ekf_oscillator;
@@ -43,9 +44,11 @@ const BOOK_4: &str = "Huang & Yuen (2023), chapter 4";
 
 const BOOK_5: &str = "Huang & Yuen (2023), chapter 5";
 
+const BOOK_6: &str = "Huang & Yuen (2023), chapter 6";
+
 const CHING_2006: &str = "Ching, Beck, Porter & Shaikhutdinov (2006)";
 
-static CASES: [Case; 22] = [
+static CASES: [Case; 24] = [
     Case {
         name: "kalman.vehicle",
         title: "Tracking of a vehicle with the Kalman filter",
@@ -185,6 +188,20 @@ static CASES: [Case; 22] = [
         source: BOOK_5,
         weight: 900.0,
         run: class_dome::run,
+    },
+    Case {
+        name: "distributed.building",
+        title: "Forty-storey building, sixteen nodes that identify for themselves",
+        source: BOOK_6,
+        weight: 600.0,
+        run: distributed::building,
+    },
+    Case {
+        name: "distributed.bridge",
+        title: "Bridge with two piers, fifteen nodes that identify for themselves",
+        source: BOOK_6,
+        weight: 3000.0,
+        run: distributed::bridge,
     },
     Case {
         name: "particle.building",

@@ -17,6 +17,7 @@ mod cases;
 mod error;
 mod figure;
 mod kept;
+mod network;
 mod outcome;
 mod plan;
 mod report;

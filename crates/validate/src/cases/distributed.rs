@@ -1,0 +1,231 @@
+//! Chapter 6, §6.4: a forty-storey building and a bridge whose sensor nodes identify for themselves.
+//!
+//! Required is what the page's own runs hold at a reduced rate, for the same rule at the published rate; beside it stand the
+//! centralised filter on the same record, the published rule, and nodes that tell one another their responses.
+
+use crate::error::ValidateError;
+use crate::figure::{Figure, Required};
+use crate::network::{self, Fused, settled};
+use crate::outcome::Outcome;
+use crate::run::Run;
+use crate::scene::{Course, Plan, Scene};
+use crate::statistics::Mean;
+use spandrel_structure::Structure;
+
+const BUILDING: &str = include_str!("../../../../docs/examples/forty-storey-building.toml");
+const BRIDGE: &str = include_str!("../../../../docs/examples/two-pier-bridge.toml");
+
+/// Errors count from here on (s): the page allows ten seconds for the start.
+const COUNTED_FROM_S: f64 = 10.0;
+/// Intervals are not asked to hold for so long after a damage (s).
+const AFTER_DAMAGE_S: f64 = 20.0;
+
+/// An example with what is asked of it.
+struct Example {
+    text: &'static str,
+    /// stiffness parameters, and which two are damaged, by how much
+    groups: usize,
+    damaged: [(usize, f64); 2],
+    /// samples per second, seconds and damage times: full and shortened
+    full: (f64, f64, [f64; 2]),
+    quick: (f64, f64, [f64; 2]),
+    /// largest mean and single rms error
+    errors: (f64, f64),
+    /// largest error of the damaged parameters at the end
+    end: f64,
+    /// frequencies (Hz) as printed, and their tolerance
+    frequencies: (&'static [f64], f64),
+    /// numbers of a message and its share of the raw samples, as published, with so many modes
+    traffic: (usize, usize, f64),
+    /// largest fused error over the centralised one
+    ratio: f64,
+}
+
+const OF_BUILDING: Example = Example {
+    text: BUILDING,
+    groups: 8,
+    damaged: [(0, 0.92), (1, 0.94)],
+    full: (250.0, 300.0, [100.0, 200.0]),
+    quick: (50.0, 30.0, [12.0, 20.0]),
+    errors: (0.02, 0.06),
+    end: 0.03,
+    frequencies: (&[0.2530, 0.7586, 1.2631, 1.7656, 2.2656], 1e-4),
+    traffic: (5, 85, 0.170),
+    ratio: 1.5,
+};
+
+const OF_BRIDGE: Example = Example {
+    text: BRIDGE,
+    groups: 6,
+    damaged: [(0, 0.95), (5, 0.95)],
+    full: (500.0, 300.0, [100.0, 200.0]),
+    quick: (100.0, 16.0, [11.0, 13.0]),
+    errors: (0.02, 0.04),
+    end: 0.015,
+    frequencies: (&[0.315, 0.790, 0.968, 1.087, 1.110], 1e-3),
+    traffic: (6, 68, 0.068),
+    ratio: 1.5,
+};
+
+pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
+    example(run, &OF_BUILDING)
+}
+
+pub(super) fn bridge(run: &Run<'_>) -> Result<Outcome, ValidateError> {
+    example(run, &OF_BRIDGE)
+}
+
+/// The file with other rate, damage times and `[fusion]`.
+fn variant(text: &str, rate_hz: f64, damages: [f64; 2], fusion: &str) -> String {
+    let rate = text.lines().find(|line| line.starts_with("sampling-rate-hz")).unwrap_or_default();
+    let (start, end) = (text.find("[fusion]").unwrap_or(0), text.find("[simulation]").unwrap_or(0));
+    let mut text = format!("{}[fusion]\nrate-hz = 1\ndetector = \"none\"\n{fusion}\n\n{}", &text[..start], &text[end..]);
+    text = text.replacen(rate, &format!("sampling-rate-hz = {rate_hz}"), 1);
+    text.replacen("at-s = 100", &format!("at-s = {}", damages[0]), 1)
+        .replacen("at-s = 200", &format!("at-s = {}", damages[1]), 1)
+}
+
+fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
+    let (rate_hz, seconds, damages) = run.pick(example.full, example.quick);
+    let modes = format!("motion = \"modes\"\nmodes = {}", example.traffic.0);
+    let [marginal, responses, published] = [
+        modes.clone(),
+        "motion = \"responses\"".to_owned(),
+        format!("{modes}\nrule = \"published\"\nfeedback = \"reset\""),
+    ]
+    .map(|fusion| variant(example.text, rate_hz, damages, &fusion));
+    let simulate = |text: &str, seconds: f64| {
+        Scene::simulate(&Plan { text, seconds, noise_share: 0.05, watched: &|_: &Structure| Vec::new() }, run)
+    };
+    let scene = simulate(&marginal, seconds)?;
+    let identify = |scene: &Scene, shares| {
+        let change = |first: usize, settings: &mut spandrel_filter::FilterSettings| {
+            for channel in 0..settings.noise.sensors.nrows() {
+                settings.noise.sensors[(channel, channel)] = scene.noise_std[first + channel].powi(2);
+            }
+            settings.variance_bound.fill(f64::INFINITY);
+        };
+        network::fuse(scene, change, |frame, channel| scene.data(frame)[channel], shares, run)
+    };
+    let by_marginal = identify(&scene, (0.0, 0.4))?;
+    let with_responses = identify(&simulate(&responses, seconds)?, (0.4, 0.8))?;
+    let as_published = identify(&simulate(&published, seconds.min(30.0))?, (0.8, 0.85))?;
+    let central = centralised(&scene, (0.85, 1.0), run)?;
+
+    let mut figures = Vec::new();
+    let modes_of = scene.structure.natural_frequencies_hz();
+    for (number, frequency) in example.frequencies.0.iter().enumerate() {
+        let found = modes_of.get(number).copied().unwrap_or(f64::NAN);
+        let required = Required::Within { of: *frequency, by: example.frequencies.1 };
+        figures.push(Figure::new(format!("frequency {} (Hz)", number + 1), found, required).published(*frequency));
+    }
+    let (sent, _) = scene.structure.numbers_per_period(0).unwrap_or((0, 0));
+    let channels = scene.structure.nodes()[0].channels().len() as f64;
+    let published_rate = example.full.0;
+    figures.extend([
+        Figure::new("numbers in a message, published modes", sent as f64, Required::Within { of: example.traffic.1 as f64, by: 0.0 })
+            .published(example.traffic.1 as f64),
+        Figure::new(
+            "message over the raw samples that it replaces",
+            sent as f64 / (channels * published_rate),
+            Required::Within { of: example.traffic.2, by: 5e-4 },
+        )
+        .published(example.traffic.2),
+    ]);
+    let judged = |required: Required| run.pick(required, Required::Reported);
+    let mut error_of = Vec::new();
+    for (name, fused) in [("densities", &by_marginal.courses), ("densities and responses", &with_responses.courses)] {
+        let errors: Vec<f64> =
+            fused[..example.groups].iter().map(|course| course.accuracy(COUNTED_FROM_S).rms_error()).collect();
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        error_of.push(mean);
+        let worst = errors.iter().copied().fold(0.0, f64::max);
+        figures.push(Figure::new(format!("{name}: rms error of stiffness, mean"), mean, judged(Required::AtMost(example.errors.0))));
+        figures.push(Figure::new(format!("{name}: rms error of stiffness, worst"), worst, judged(Required::AtMost(example.errors.1))));
+        figures.push(Figure::new(
+            format!("{name}: share of stiffnesses within 3 deviations, outside of 20 s after a damage"),
+            coverage(&fused[..example.groups], &damages),
+            judged(Required::AtLeast(0.95)),
+        ));
+        for ((group, truth), at_s) in example.damaged.iter().zip(damages) {
+            let name_of = scene.structure.parameters()[*group].name();
+            let end = fused[*group].points.last().map_or(f64::NAN, |point| point[1]);
+            figures.push(Figure::new(
+                format!("{name}: {name_of} at the end"),
+                end,
+                judged(Required::Within { of: *truth, by: example.end }),
+            ));
+            let before = fused[*group].mean(at_s - 10.0, at_s);
+            let after = fused[*group].mean(at_s + 9.0, at_s + 12.0);
+            figures.push(Figure::new(
+                format!("{name}: share of the drop of {name_of} seen 10 s after it"),
+                (before - after) / (1.0 - truth),
+                judged(Required::AtLeast(0.5)),
+            ));
+        }
+    }
+    let centrally = central[..example.groups].iter().map(|course| course.accuracy(COUNTED_FROM_S).rms_error());
+    let centrally = centrally.sum::<f64>() / example.groups as f64;
+    figures.extend([
+        Figure::new("one filter with all samples: rms error of stiffness, mean", centrally, Required::Reported),
+        Figure::new("densities: error over that of one filter with all samples", error_of[0] / centrally, Required::Reported),
+        Figure::new(
+            "densities and responses: error over that of one filter with all samples",
+            error_of[1] / centrally,
+            judged(Required::AtMost(example.ratio)),
+        ),
+    ]);
+    figures.extend(freezing(&as_published, scene.structure.nodes().len()));
+
+    let mut plots = Vec::new();
+    for (group, _) in example.damaged {
+        let name = scene.structure.parameters()[group].name();
+        let last = scene.structure.nodes().len() - 1;
+        plots.push(by_marginal.local[last][group].plot(&format!("{name}, last node, before the station's answer"), "ratio to nominal", (0.6, 1.4)));
+        plots.push(by_marginal.courses[group].plot(&format!("{name}, fused densities"), "ratio to nominal", (0.85, 1.1)));
+        plots.push(with_responses.courses[group].plot(&format!("{name}, fused densities and responses"), "ratio to nominal", (0.85, 1.1)));
+        plots.push(central[group].plot(&format!("{name}, one filter with all samples"), "ratio to nominal", (0.85, 1.1)));
+    }
+    Ok(Outcome { figures, tables: Vec::new(), plots })
+}
+
+fn coverage(courses: &[Course], damages: &[f64]) -> f64 {
+    let mut mean = Mean::default();
+    courses.iter().for_each(|course| mean.take(settled(course, COUNTED_FROM_S, damages, AFTER_DAMAGE_S).coverage()));
+    mean.value()
+}
+
+/// The published product counts the shared prior once for every node: deviations shrink by `√(N_s λ⁻ⁿ)` a fusion.
+fn freezing(published: &Fused, nodes: usize) -> Vec<Figure> {
+    let deviation = |second: usize| published.courses[0].points.get(second - 1).map_or(f64::NAN, |point| point[2]);
+    let growth = 2_f64.powf(2.0 / 8.0); // half-life of 8 s
+    let expected = (nodes as f64 / growth).sqrt();
+    let ratio = (deviation(3) / deviation(8)).powf(0.2);
+    vec![
+        Figure::new(
+            "published rule: factor by which the deviation of the first stiffness shrinks in a fusion",
+            ratio,
+            Required::Within { of: expected, by: 0.3 },
+        ),
+        Figure::new("published rule: deviation of the first stiffness after 5 s", deviation(5), Required::Reported),
+    ]
+}
+
+/// The filter that has the samples of all nodes, at the instants of the fusions.
+fn centralised(scene: &Scene, shares: (f64, f64), run: &Run<'_>) -> Result<Vec<Course>, ValidateError> {
+    let parameters = scene.structure.parameters().len();
+    let mut courses = vec![Course::default(); parameters];
+    let mut settings = scene.settings()?;
+    settings.variance_bound.fill(f64::INFINITY);
+    let period = (1.0 / scene.step_s).round() as usize;
+    scene.filter(settings, |frame| scene.data(frame), shares, run, |frame, filter, _| {
+        if (frame + 1) % period == 0 {
+            let density = filter.parameters();
+            let truth = scene.structure.true_parameters(frame as u64);
+            for (j, course) in courses.iter_mut().enumerate() {
+                course.take(scene.time_s(frame), density.mean[j], density.covariance[(j, j)], truth[j]);
+            }
+        }
+    })?;
+    Ok(courses)
+}
