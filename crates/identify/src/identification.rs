@@ -9,8 +9,8 @@ use spandrel_bus::{
     Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FrameBlock, Header, ModelClassDisplay, Name,
     NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, StreamState, TimeGrid,
 };
-use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, OutlierChange, Step};
-use spandrel_structure::Structure;
+use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, NoiseRule, OutlierChange, Step};
+use spandrel_structure::{EstimatedResponse, Excitation, Structure};
 
 /// A gap up to this long (s) is bridged by predictions; over a longer one the motion is forgotten and the parameters stay.
 const BRIDGED_GAP_S: f64 = 10.0;
@@ -45,6 +45,9 @@ pub enum Output {
     Outliers(OutlierDisplay),
     /// The model classes at display rate, and when they change.
     Classes(ModelClassDisplay),
+    /// Mean and standard deviation of each response that the structure file asks for, frame by frame: those of the estimates
+    /// that come next. For files; they are not put on the bus.
+    Responses(Vec<Vec<(f64, f64)>>),
     /// Something rare.
     Event(Event),
 }
@@ -57,9 +60,14 @@ pub struct Identification {
     estimator: Estimator,
     band_limit: Option<BandLimit>,
     observation_channels: Vec<usize>,
+    /// of each component of the excitation: the channel that measures it, and what is known of it without one
     excitation_channels: Vec<Option<usize>>,
+    mean_excitation: Vec<f64>,
     parameter_views: Vec<ParameterView>,
     noise_names: Vec<Name>,
+    responses: Vec<EstimatedResponse>,
+    /// of the frames that are being done
+    responded: Vec<Vec<(f64, f64)>>,
     /// one for each observation row; empty where outliers are not screened
     screening: Vec<ScreeningView>,
     /// `None` where there is one model
@@ -198,19 +206,22 @@ impl Identification {
             source: source.into(),
             observation_channels: structure.observation_channels().to_vec(),
             excitation_channels: structure.excitation_channels().to_vec(),
+            mean_excitation: structure.mean_excitation().as_slice().to_vec(),
             observations: vec![f64::NAN; structure.observation_channels().len()],
             excitation: vec![0.0; structure.excitation_channels().len()],
             frame: vec![f64::NAN; channels],
             decimation: Decimation::new(structure.sampling_rate_hz(), structure.display_rate_hz()),
             parameter_views,
             noise_names,
+            responses: structure.estimated_responses().to_vec(),
+            responded: Vec::new(),
             estimator,
             band_limit,
             stream: None,
             restarts: 0,
             unobserved: 0,
             hearing: vec![Hearing::default(); structure.excitation_channels().len()],
-            excitation_names: structure.excitations().iter().map(|excitation| excitation.name().to_owned()).collect(),
+            excitation_names: structure.excitations().iter().flat_map(component_names).collect(),
             since_clipped: None,
         })
     }
@@ -317,8 +328,9 @@ impl Identification {
         for (value, channel) in self.observations.iter_mut().zip(&self.observation_channels) {
             *value = self.frame[*channel];
         }
-        for (value, channel) in self.excitation.iter_mut().zip(&self.excitation_channels) {
-            *value = channel.map_or(0.0, |channel| self.frame[channel]);
+        let known = self.excitation_channels.iter().zip(&self.mean_excitation);
+        for (value, (channel, mean)) in self.excitation.iter_mut().zip(known) {
+            *value = channel.map_or(*mean, |channel| self.frame[channel]);
         }
         self.tell_silent_excitations(time_ns, outputs);
         let frame = Frame { observations: &self.observations, excitation: &self.excitation };
@@ -338,7 +350,8 @@ impl Identification {
             self.tell_outliers(time_ns, outputs);
             self.tell_classes(time_ns, outputs);
         }
-        estimates.push(self.estimate(result.ok(), restarted));
+        let estimate = self.estimate(result.ok(), restarted);
+        estimates.push(estimate);
         if let Some(stream) = &mut self.stream {
             stream.next = number + 1;
         }
@@ -377,7 +390,8 @@ impl Identification {
                 if number - from < bridged {
                     self.take_frame(number, &missing, grid, &mut estimates, outputs);
                 } else {
-                    estimates.push(self.estimate(None, false));
+                    let estimate = self.estimate(None, false);
+                    estimates.push(estimate);
                 }
             }
             self.publish(start, estimates, StreamState::Running, outputs);
@@ -410,7 +424,12 @@ impl Identification {
 
     fn tell_noise_events(&self, time_ns: i64, step: &Step, outputs: &mut Vec<Output>) {
         if step.training_ended {
-            let why = "their relative deviations are below 10 % and the innovations agree with them";
+            let why = match self.estimator.settings().noise_settings.rule {
+                NoiseRule::HalfOrDouble => "neither halving nor doubling a level has improved on them for ten frames",
+                NoiseRule::Fisher | NoiseRule::Published | NoiseRule::Fixed => {
+                    "their relative deviations are below 10 % and the innovations agree with them"
+                }
+            };
             outputs.push(self.event(time_ns, EventKind::Calibration, "noise levels trained", why));
         }
         if step.training_overdue {
@@ -509,7 +528,11 @@ impl Identification {
         most.map_or("a sensor", |l| self.noise_names[l].as_str())
     }
 
-    fn estimate(&self, step: Option<Step>, restarted: bool) -> Estimate {
+    fn estimate(&mut self, step: Option<Step>, restarted: bool) -> Estimate {
+        if !self.responses.is_empty() {
+            let response = |response: &EstimatedResponse| self.estimator.response(response.terms());
+            self.responded.push(self.responses.iter().map(response).collect());
+        }
         let parameters = self.parameter_views.len();
         let noise = self.estimator.noise();
         let innovations = match step {
@@ -540,11 +563,14 @@ impl Identification {
         }
     }
 
-    fn publish(&self, first: u64, estimates: Vec<Estimate>, state: StreamState, outputs: &mut Vec<Output>) {
+    fn publish(&mut self, first: u64, estimates: Vec<Estimate>, state: StreamState, outputs: &mut Vec<Output>) {
         let Some(stream) = self.stream else {
             return;
         };
         let time_ns = TimeGrid::new(stream.t0_ns, stream.sampling_rate_hz).map_or(stream.t0_ns, |g| g.time_ns(first));
+        if !self.responded.is_empty() {
+            outputs.push(Output::Responses(std::mem::take(&mut self.responded)));
+        }
         outputs.push(Output::Estimates(EstimateBlock {
             header: Header { source: self.source.clone(), epoch: stream.epoch, sequence: first, time_ns },
             t0_ns: stream.t0_ns,
@@ -588,6 +614,11 @@ impl Identification {
             why: why.to_owned(),
         })
     }
+}
+
+/// Repeats the name of an excitation for each of its components.
+fn component_names(excitation: &Excitation) -> impl Iterator<Item = String> {
+    std::iter::repeat_n(excitation.name().to_owned(), excitation.component_len())
 }
 
 #[cfg(test)]

@@ -125,6 +125,12 @@ pub enum AppError {
         /// Seconds left out at its start.
         skip_s: f64,
     },
+    /// A structure without parameters has no sound values.
+    #[error("{}: has no [[parameter]], must have one whose sound value can be learnt", path.display())]
+    NoParameters {
+        /// The structure file.
+        path: PathBuf,
+    },
 }
 
 impl AppError {
@@ -139,6 +145,7 @@ impl AppError {
             | Self::SameStructure { .. }
             | Self::BaselineOfNone { .. }
             | Self::NothingLearnt { .. }
+            | Self::NoParameters { .. }
             | Self::WouldOverwrite { .. }
             | Self::Name(_)
             | Self::Validate(ValidateError::UnknownCase { .. } | ValidateError::File { .. })

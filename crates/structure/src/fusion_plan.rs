@@ -182,7 +182,7 @@ impl Structure {
             let basis = ModalBasis::new(modes.shapes.columns(0, count).into_owned(), &mass).ok()?;
             let grounds = self.excitations.iter().filter_map(|excitation| match &excitation.action {
                 Action::Ground { influence } => Some(DVector::from_column_slice(influence)),
-                Action::Force { .. } => None,
+                Action::Force { .. } | Action::ForceField(_) => None,
             });
             let shares = grounds.map(|influence| basis.effective_mass_shares(&influence, &mass).iter().sum::<f64>());
             Some(shares.fold(0.0, |worst: f64, share| worst.max(1.0 - share)))

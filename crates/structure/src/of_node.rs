@@ -45,9 +45,13 @@ impl Structure {
         let noise_levels = self.noise_levels.iter().filter_map(level).collect();
         let mut simulation = self.simulation.clone();
         simulation.clock_offsets_s = vec![self.simulation.clock_offsets_s[position]];
+        simulation.levels.clear(); // they are numbered as in the whole structure, which is what is simulated
         Some(Self {
             sampling_rate_hz,
-            excitation_channels: excitations.iter().map(crate::Excitation::channel).collect(),
+            excitation_channels: excitations
+                .iter()
+                .flat_map(|excitation| std::iter::repeat_n(excitation.channel(), excitation.component_len()))
+                .collect(),
             observation_channels: rows.iter().map(|row| self.observation_channels[*row] - first).collect(),
             excitations,
             nodes: vec![Node { sampling_rate_hz: None, ..node }],

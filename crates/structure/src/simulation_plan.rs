@@ -10,6 +10,8 @@ pub struct SimulationPlan {
     pub(crate) spikes: Spikes,
     /// One per node, s.
     pub(crate) clock_offsets_s: Vec<f64>,
+    /// Noise levels (from 0) that are not what the file states: their actual standard deviations.
+    pub(crate) levels: Vec<(usize, f64)>,
 }
 
 /// Swells the excitation once: amplitude `W(t) = 1 + s exp(1 − s)`, `s = (t − t_a)/t_b` from `t_a` on, 1 before.
@@ -84,6 +86,7 @@ impl SimulationPlan {
             dropped_share: 0.0,
             spikes: Spikes { share: 0.0, height: Self::SPIKE_HEIGHT, kind: SpikeKind::Added },
             clock_offsets_s: vec![0.0; nodes],
+            levels: Vec::new(),
         }
     }
 

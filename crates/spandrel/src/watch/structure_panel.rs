@@ -35,6 +35,8 @@ pub struct StructurePanel {
     header: Line<'static>,
     rows: Vec<Line<'static>>,
     /// Noise levels and services.
+    /// What stands in the place of rows.
+    without_rows: &'static str,
     footer: Vec<Line<'static>>,
 }
 
@@ -73,6 +75,7 @@ impl StructurePanel {
             time: time_of(heard, structure),
             header: header(axis, columns, &losses),
             rows: rows.collect(),
+            without_rows: if structure.noise.is_empty() { "no data yet" } else { "no parameters: motion and noise levels" },
             footer: footer(heard, structure, width),
         }
     }
@@ -84,13 +87,13 @@ impl StructurePanel {
 
     /// The lines that fit into `height`, starting with row `first` where not all do.
     pub fn into_lines(self, height: usize, first: usize) -> Vec<Line<'static>> {
-        let Self { header, rows, mut footer, .. } = self;
+        let Self { header, rows, without_rows, mut footer, .. } = self;
         // in a small window parameters come before services
         footer.truncate(height.saturating_sub(1 + rows.len().min(ROWS_AT_LEAST)));
         let room = height.saturating_sub(1 + footer.len());
         let mut lines = vec![header];
         if rows.is_empty() {
-            lines.push(Line::from("no data yet").style(Modifier::DIM));
+            lines.push(Line::from(without_rows).style(Modifier::DIM));
         } else if rows.len() <= room {
             lines.extend(rows);
         } else {

@@ -1,6 +1,7 @@
 //! Reads `[simulation]`.
 
 use super::find_name;
+use crate::noise_level::NoiseLevel;
 use crate::section::{Allowed, Section};
 use crate::simulation_plan::{Damage, Modulation, SimulationPlan, SpikeKind};
 use toml::Spanned;
@@ -14,6 +15,7 @@ const SPIKE_KINDS: [(&str, SpikeKind); 2] = [("added", SpikeKind::Added), ("repl
 pub(super) struct Context<'c> {
     pub(super) parameters: Option<&'c [&'c str]>,
     pub(super) nodes: Option<&'c [&'c str]>,
+    pub(super) levels: Option<&'c [NoiseLevel]>,
 }
 
 /// Reads `[simulation]`; without it nothing happens to the structure.
@@ -40,6 +42,13 @@ pub(super) fn read_simulation(section: Option<Section<'_>>, context: &Context<'_
     plan.spikes.height = section.number_or("spike-height", Allowed::POSITIVE, SimulationPlan::SPIKE_HEIGHT);
     if let Some(kind) = section.choice("spike-kind", &SPIKE_KINDS) {
         plan.spikes.kind = kind.into_inner();
+    }
+    for (name, value) in section.entries("levels") {
+        let std = section.entry_number("levels", &name, value, Allowed::DEVIATION);
+        let index = context.levels.and_then(|levels| {
+            find_name(&section, "levels", &name, levels.iter().map(|level| level.name.as_str()))
+        });
+        plan.levels.extend(index.zip(std));
     }
     for (node, value) in section.entries("clock-offsets-s") {
         let offset = section.entry_number("clock-offsets-s", &node, value, Allowed::ANY);
