@@ -39,9 +39,8 @@ impl Estimated {
     /// Reads the file but for its `responses`, which are not on the bus.
     pub fn read(path: &Path, responses: &[&str], summary: serde_json::Value) -> Self {
         let table = super::Record::read(path);
-        let named = |column: &String| {
-            column.strip_suffix(".mean").filter(|name| !responses.contains(name)).map(str::to_owned)
-        };
+        let named =
+            |column: &String| column.strip_suffix(".mean").filter(|name| !responses.contains(name)).map(str::to_owned);
         let parameters: Vec<String> = table.channels().iter().filter_map(named).collect();
         let of_parameter = |row: usize, name: &String| {
             (table.value(row, &format!("{name}.mean")), table.value(row, &format!("{name}.std")))

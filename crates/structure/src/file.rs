@@ -122,8 +122,7 @@ impl<'t> StructureFile<'t> {
         let alert_rules = alert::read_alerts(&mut file, parameter_names);
         let channel_list: Vec<_> = nodes.channels.iter().map(|read| &read.channel).collect();
         let record = record::read_record(file.table("record"), channels.map(|_| &channel_list[..]));
-        let levels =
-            (!nodes.incomplete && declared_excitations == excitations.len()).then_some(&noise_levels[..]);
+        let levels = (!nodes.incomplete && declared_excitations == excitations.len()).then_some(&noise_levels[..]);
         let simulation = simulation::read_simulation(
             file.table("simulation"),
             &simulation::Context { parameters: parameter_names, nodes: node_names, levels },

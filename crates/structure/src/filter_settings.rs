@@ -97,9 +97,7 @@ impl Structure {
         for level in &self.noise_levels {
             let variance = level.std.powi(2);
             let (target, pattern) = match &level.source {
-                NoiseSource::Excitation(excitation) => {
-                    (NoiseTarget::Excitation, self.excitation_pattern(*excitation))
-                }
+                NoiseSource::Excitation(excitation) => (NoiseTarget::Excitation, self.excitation_pattern(*excitation)),
                 NoiseSource::Sensors(rows_of_group) => {
                     let mut pattern = DMatrix::zeros(rows, rows);
                     rows_of_group.iter().for_each(|row| pattern[(*row, *row)] = 1.0);

@@ -98,11 +98,7 @@ fn columns(structure: &Structure, identification: &Identification) -> Vec<String
     parameters.chain(responses).chain(levels).collect()
 }
 
-fn write(
-    writer: &mut EstimateWriter,
-    block: &EstimateBlock,
-    responses: &[Vec<(f64, f64)>],
-) -> Result<(), AppError> {
+fn write(writer: &mut EstimateWriter, block: &EstimateBlock, responses: &[Vec<(f64, f64)>]) -> Result<(), AppError> {
     let Some(grid) = block.grid() else {
         return Ok(()); // our own blocks have one
     };

@@ -75,7 +75,11 @@ impl StructurePanel {
             time: time_of(heard, structure),
             header: header(axis, columns, &losses),
             rows: rows.collect(),
-            without_rows: if structure.noise.is_empty() { "no data yet" } else { "no parameters: motion and noise levels" },
+            without_rows: if structure.noise.is_empty() {
+                "no data yet"
+            } else {
+                "no parameters: motion and noise levels"
+            },
             footer: footer(heard, structure, width),
         }
     }

@@ -19,8 +19,7 @@ enum Kind {
     ForceField,
 }
 
-const KINDS: [(&str, Kind); 3] =
-    [("ground", Kind::Ground), ("force", Kind::Force), ("force-field", Kind::ForceField)];
+const KINDS: [(&str, Kind); 3] = [("ground", Kind::Ground), ("force", Kind::Force), ("force-field", Kind::ForceField)];
 
 /// What the excitations refer to.
 pub(super) struct Context<'c> {

@@ -65,8 +65,7 @@ fn read_dofs(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option
     }
     let listed = section.numbers_or_names("dofs");
     let listed = section.require("dofs", rule, listed)?;
-    let found: Vec<_> =
-        listed.get_ref().iter().map(|dof| degree_of_freedom(section, "dofs", dof, system)).collect();
+    let found: Vec<_> = listed.get_ref().iter().map(|dof| degree_of_freedom(section, "dofs", dof, system)).collect();
     let dofs: Vec<usize> = found.into_iter().collect::<Option<_>>()?;
     let repeated = (0..dofs.len()).find(|index| dofs[..*index].contains(&dofs[*index]));
     if dofs.is_empty() || repeated.is_some() {
@@ -83,7 +82,8 @@ fn read_deviations(section: &mut Section<'_>, len: usize, mean: Option<&[f64]>) 
     let intensity = section.number("intensity", Allowed::POSITIVE);
     if section.contains("std") == section.contains("intensity") {
         let found = if section.contains("std") { "is given beside intensity" } else { "is missing" };
-        let allowed = "must give either std (of one sample of each force, N), intensity (a share of mean) or covariance";
+        let allowed =
+            "must give either std (of one sample of each force, N), intensity (a share of mean) or covariance";
         section.diagnostics().report(section.span(), section.key("std"), found, allowed);
         return None;
     }
@@ -91,7 +91,12 @@ fn read_deviations(section: &mut Section<'_>, len: usize, mean: Option<&[f64]>) 
     let mean = mean?;
     if let Some(calm) = mean.iter().position(|force| *force == 0.0) {
         let found = format!("is a share of a mean that is 0 at entry {}", calm + 1);
-        section.diagnostics().report(intensity.span(), section.key("intensity"), found, "must have mean forces, or be std");
+        section.diagnostics().report(
+            intensity.span(),
+            section.key("intensity"),
+            found,
+            "must have mean forces, or be std",
+        );
         return None;
     }
     Some(mean.iter().map(|force| intensity.get_ref() * force.abs()).collect())

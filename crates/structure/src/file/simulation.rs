@@ -45,9 +45,9 @@ pub(super) fn read_simulation(section: Option<Section<'_>>, context: &Context<'_
     }
     for (name, value) in section.entries("levels") {
         let std = section.entry_number("levels", &name, value, Allowed::DEVIATION);
-        let index = context.levels.and_then(|levels| {
-            find_name(&section, "levels", &name, levels.iter().map(|level| level.name.as_str()))
-        });
+        let index = context
+            .levels
+            .and_then(|levels| find_name(&section, "levels", &name, levels.iter().map(|level| level.name.as_str())));
         plan.levels.extend(index.zip(std));
     }
     for (node, value) in section.entries("clock-offsets-s") {

@@ -676,8 +676,10 @@ fn mistakes_of_a_field_of_forces_are_told() {
     assert_eq!(found("dofs = \"all\"", "dofs = [1, 2]"), ["excitation.mean: has 50 entries, must have 2"]);
     assert_eq!(
         found("intensity = 0.2", "std = 1\nintensity = 0.2"),
-        ["excitation.std: is given beside intensity, must give either std (of one sample of each force, N), intensity (a \
-          share of mean) or covariance"]
+        [
+            "excitation.std: is given beside intensity, must give either std (of one sample of each force, N), intensity (a \
+          share of mean) or covariance"
+        ]
     );
     assert_eq!(
         found("correlation-length = 4 ", "positions = [1, 2]\ncorrelation-length = 4 "),
@@ -685,8 +687,10 @@ fn mistakes_of_a_field_of_forces_are_told() {
     );
     assert_eq!(
         found("level = 3.1623", "measured-on = \"floor-1\""),
-        ["excitation.measured-on: is not a known key, must be one of name, kind, adapt, level, dofs, mean, covariance, std, \
-          intensity, correlation-length, positions"]
+        [
+            "excitation.measured-on: is not a known key, must be one of name, kind, adapt, level, dofs, mean, covariance, std, \
+          intensity, correlation-length, positions"
+        ]
     );
 }
 
@@ -716,7 +720,8 @@ fn what_needs_a_parameter_is_refused_without_one() {
 #[test]
 fn a_response_is_a_displacement_a_velocity_or_a_strain() {
     let with = |quantity: &str| {
-        let response = format!("[[response]]\nname = \"roof\"\nquantity = \"{quantity}\"\ndof = \"floor-5\"\n\n[filter]");
+        let response =
+            format!("[[response]]\nname = \"roof\"\nquantity = \"{quantity}\"\ndof = \"floor-5\"\n\n[filter]");
         DEMO.replace("[filter]", &response)
     };
     assert_eq!(read(&with("velocity")).unwrap().estimated_responses()[0].terms(), [(9, 1.0)]);
