@@ -9,8 +9,8 @@ mod classes;
 mod damping;
 mod excitation;
 mod filter;
-mod fusion;
 mod force_field;
+mod fusion;
 mod matrices;
 mod mesh;
 mod model;
@@ -96,6 +96,12 @@ impl<'t> StructureFile<'t> {
         let (declared_excitations, excitations) =
             excitation::read_excitations(&mut file, &excitation::Context { rate_hz: head.rate_hz, system, channels });
         let (declared, parameters) = parameter::read_parameters(&mut file, system, damping.as_ref());
+        if let Some(distributed) =
+            head.distributed.as_ref().filter(|distributed| *distributed.get_ref() && declared == 0)
+        {
+            let allowed = "must not be distributed without a [[parameter]]: parameters are what nodes find and share";
+            diagnostics.report(distributed.span(), "structure.identification", "is \"distributed\"", allowed);
+        }
         let follows = if declared > 0 { filter::Follows::Parameters } else { filter::Follows::MotionAlone };
         let mut plan = filter::read_filter(file.table("filter"), head.rate_hz, follows);
         plan.outliers = outliers::read_outliers(file.table("outliers"));

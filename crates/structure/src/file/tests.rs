@@ -714,6 +714,13 @@ fn what_needs_a_parameter_is_refused_without_one() {
         mistakes(&(GROUND.to_owned() + damage)),
         ["simulation.damage.parameter: is \"storey-1\", none is declared"]
     );
+    assert_eq!(
+        mistakes(&GROUND.replace("display-rate-hz", "identification = \"distributed\"\ndisplay-rate-hz")),
+        [
+            "structure.identification: is \"distributed\", must not be distributed without a [[parameter]]: parameters are what \
+          nodes find and share"
+        ]
+    );
     assert!(!mistakes(&(GROUND.to_owned() + "\n[classes]\nkind = \"self-calibrating\"\n")).is_empty());
 }
 
