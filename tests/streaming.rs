@@ -5,7 +5,8 @@
 mod support;
 
 use serde_json::Value;
-use spandrel_bus::Service;
+use spandrel_bus::{NoiseDisplay, Service};
+use std::collections::BTreeSet;
 use support::{
     Drops, EstimateReader, Identified, Process, Record, Site, assert_same_bits, five_storeys, spandrel, two_storeys,
 };
@@ -126,6 +127,55 @@ async fn nodes_of_several_channels_at_200_hz_give_the_numbers_of_estimate() {
     let record = site.simulate(15.0);
     let _services = site.run();
     assert_replay_gives_the_numbers_of_estimate("matrices.toml", &site, &record, "max").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_building_without_parameters_gives_the_numbers_of_estimate() {
+    for name in ["fifty-storeys.toml", "fifty-storeys-wind.toml"] {
+        let site = Site::of(&five_storeys().with_file_name(name));
+        let record = site.simulate(8.0);
+        let _services = site.run();
+        let bus = site.join().await;
+        let noise = bus.subscribe::<NoiseDisplay>(site.keys().all_noise(), 1024).await.unwrap();
+        assert_replay_gives_the_numbers_of_estimate(name, &site, &record, "max").await;
+        let shown: BTreeSet<String> = noise.messages().drain().map(|(_, level)| level.name.to_string()).collect();
+        let levels: BTreeSet<String> = site.structure().noise_levels().iter().map(|l| l.name().to_owned()).collect();
+        assert_eq!(shown, levels, "{name}: topics noise/*");
+        bus.close().await.unwrap();
+    }
+}
+
+/// The tower of the documentation with 12 beams and lumped masses, which a test has time for.
+fn coarse_tower() -> String {
+    let mut text = std::fs::read_to_string(five_storeys().with_file_name("tower.toml")).unwrap();
+    for (from, to) in [
+        ("kind = \"tower\"", "kind = \"tower\"\nmass = \"lumped\""),
+        ("elements = 27", "elements = 8"),
+        ("elements = 10", "elements = 4"),
+        ("modes = [1, 11]", "modes = [1, 9]"),
+    ] {
+        assert!(text.contains(from), "{from}");
+        text = text.replace(from, to);
+    }
+    for (from, to) in [(4, 1), (8, 3), (13, 4), (18, 5), (23, 7), (27, 8), (32, 10), (37, 12)] {
+        text = text.replace(&format!("\"node-{from}-"), &format!("\"node-{to}-"));
+    }
+    text
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_frame_a_truss_a_dome_and_a_tower_give_the_numbers_of_estimate() {
+    let example = |name: &str| Site::of(&five_storeys().with_file_name(name));
+    for (kind, site) in [
+        ("frame", example("three-pier-bridge.toml")),
+        ("truss", example("fourteen-bay-truss.toml")),
+        ("dome", example("dome.toml")),
+        ("tower", Site::with(&coarse_tower())),
+    ] {
+        let record = site.simulate(2.0);
+        let _services = site.run();
+        assert_replay_gives_the_numbers_of_estimate(kind, &site, &record, "max").await;
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

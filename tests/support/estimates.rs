@@ -4,7 +4,7 @@ use super::within;
 use spandrel_bus::{Block, Bus, Delivery, EstimateBlock, Keys, Start, Stream, StreamSettings, StreamState};
 use std::path::Path;
 
-/// Mean and standard deviation of each parameter at one frame.
+/// Mean and standard deviation of each parameter, then of each identified noise level, at one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Identified {
     pub time_ns: i64,
@@ -36,9 +36,11 @@ pub struct Estimated {
 }
 
 impl Estimated {
-    pub fn read(path: &Path, summary: serde_json::Value) -> Self {
+    /// Reads the file but for its `responses`, which are not on the bus.
+    pub fn read(path: &Path, responses: &[&str], summary: serde_json::Value) -> Self {
         let table = super::Record::read(path);
-        let named = |column: &String| column.strip_suffix(".mean").map(str::to_owned);
+        let named =
+            |column: &String| column.strip_suffix(".mean").filter(|name| !responses.contains(name)).map(str::to_owned);
         let parameters: Vec<String> = table.channels().iter().filter_map(named).collect();
         let of_parameter = |row: usize, name: &String| {
             (table.value(row, &format!("{name}.mean")), table.value(row, &format!("{name}.std")))
@@ -107,7 +109,9 @@ pub fn identified(block: &EstimateBlock) -> Vec<Identified> {
     let grid = block.grid().unwrap();
     let frames = block.iter().map(|(number, estimate)| {
         let std = |index| estimate.variance(index).unwrap().max(0.0).sqrt();
-        let pairs = estimate.mean.iter().enumerate().map(|(index, mean)| (*mean, std(index)));
+        let parameters = estimate.mean.iter().enumerate().map(|(index, mean)| (*mean, std(index)));
+        let noise = estimate.noise_mean.iter().zip(&estimate.noise_covariance);
+        let pairs = parameters.chain(noise.map(|(mean, variance)| (*mean, variance.max(0.0).sqrt())));
         Identified { time_ns: grid.time_ns(number), mean_and_std: pairs.collect() }
     });
     frames.collect()
@@ -138,7 +142,7 @@ pub fn assert_same_bits(route: &str, parameters: &[String], expected: &[Identifi
             None => format!("frame at t = {time_s:.9} s"),
         }
     };
-    let parameter = index.map_or("time", |index| parameters[index].as_str());
+    let parameter = index.map_or("time", |index| parameters.get(index).map_or("a noise level", String::as_str));
     panic!(
         "{route}: first difference in frame {number}, {parameter}\n  expected {} (spandrel estimate)\n  found    {}\n  \
          {different} of {} frames differ",

@@ -79,7 +79,9 @@ impl Site {
         let mut command = spandrel("estimate");
         command.arg(&self.structure_file).arg("--record").arg(record.path()).arg("--output").arg(&output);
         let finished = Process::start(command.arg("--json")).wait().expect_code(0);
-        Estimated::read(&output, serde_json::from_str(&finished.stdout).unwrap())
+        let responses: Vec<&str> =
+            self.structure.estimated_responses().iter().map(|response| response.name()).collect();
+        Estimated::read(&output, &responses, serde_json::from_str(&finished.stdout).unwrap())
     }
 
     /// A service command of this site that others can connect to.

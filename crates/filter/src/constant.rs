@@ -228,7 +228,7 @@ impl NoiseSpread {
 pub(crate) struct ConstantPath {
     pub(crate) transition: ConstantTransition,
     /// `H B_d` (N_0 × N_f)
-    h_b: DMatrix<f64>,
+    pub(crate) h_b: DMatrix<f64>,
     /// of the known part of `Σ_f`; `None` when it is zero
     known: Option<NoiseSpread>,
     /// of each noise parameter; `None` where it scales the sensors

@@ -258,6 +258,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             }
             None => None,
         };
+        let h_b = constant.as_ref().map_or_else(|| DMatrix::zeros(channels, inputs), |constant| constant.h_b.clone());
         let work = Workspace {
             constant,
             proportional: model.proportional_form().map(|form| proportional::Transition::new(&form)),
@@ -270,7 +271,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             input_matrix: DMatrix::zeros(n, inputs),
             h_p: DMatrix::zeros(channels, n),
             p_ht: DMatrix::zeros(n, channels),
-            h_b: DMatrix::zeros(channels, inputs),
+            h_b,
             cross: DMatrix::zeros(n, inputs),
             frame_known: DMatrix::zeros(channels, channels),
             step_excitation: DMatrix::zeros(inputs, inputs),
@@ -624,7 +625,11 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let Self { settings, state, work, .. } = self;
         let n = work.mean.len();
         if let Some(ExcitationPosterior { covariance, .. }) = &state.posterior {
-            // A Σ Aᵀ + A C Bᵀ + B Cᵀ Aᵀ + B W Bᵀ: the sensors have already felt the excitation of this step
+            // A Σ Aᵀ + A C Bᵀ + B Cᵀ Aᵀ + B W Bᵀ: the sensors have already felt the excitation of this step. Half of the last
+            // goes to each of the two before, so that many forces cost no more than the state is long
+            for b in 0..work.cross.ncols() {
+                work.cross.column_mut(b).gemv(0.5, &work.input_matrix, &covariance.column(b), 1.0);
+            }
             for b in 0..work.cross.ncols() {
                 for j in 0..n {
                     for i in 0..n {
@@ -633,7 +638,6 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                     }
                 }
             }
-            add_quadratic_form_mut(&mut work.covariance, &work.input_matrix, covariance, 1.0);
         }
         work.covariance *= settings.fading.value();
         symmetrise_mut(&mut work.covariance);
@@ -686,7 +690,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             };
             let mut variance = work.update.innovation_covariance[(channel, channel)];
             variance += annealing * work.sensors[(channel, channel)];
-            if !felt {
+            if !felt && !state.fresh {
                 variance += settings.fading.value() * of_row(&work.h_b, &work.step_excitation);
             }
             if let Some(direct) = model.feedthrough() {

@@ -199,6 +199,25 @@ impl Estimator {
         }
     }
 
+    /// Returns mean and standard deviation of a sum of entries (from 0) of the physical state with coefficients.
+    ///
+    /// Of several model classes it is that of the most plausible one.
+    #[must_use]
+    pub fn response(&self, terms: &[(usize, f64)]) -> (f64, f64) {
+        let (mean, covariance) = match self {
+            Self::Filter(filter) => (filter.mean().as_slice(), filter.covariance()),
+            Self::Classes(bank) => {
+                let filter = bank.filter(bank.leader());
+                (filter.mean().as_slice(), filter.covariance())
+            }
+            Self::Particles(particles) => (particles.filter.mean(), &particles.covariance),
+        };
+        let value = terms.iter().map(|(entry, factor)| factor * mean[*entry]).sum();
+        let pairs = terms.iter().flat_map(|one| terms.iter().map(move |other| (one, other)));
+        let variance: f64 = pairs.map(|((i, a), (j, b))| a * b * covariance[(*i, *j)]).sum();
+        (value, variance.max(0.0).sqrt())
+    }
+
     /// Tells whether the last step kept a parameter at one of its bounds.
     #[must_use]
     pub fn is_at_bound(&self, parameter: usize) -> bool {

@@ -14,7 +14,7 @@ use spandrel_bus::{
     NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, StreamState, TimeGrid,
 };
 use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, Step};
-use spandrel_structure::{Quantity, Structure};
+use spandrel_structure::{EstimatedResponse, Excitation, Quantity, Structure};
 
 /// A gap up to this long (s) is bridged by predictions; over a longer one the motion is forgotten and the parameters stay.
 const BRIDGED_GAP_S: f64 = 10.0;
@@ -54,6 +54,9 @@ pub enum Output {
     Outliers(OutlierDisplay),
     /// The model classes at display rate, and when they change.
     Classes(ModelClassDisplay),
+    /// Mean and standard deviation of each response that the structure file asks for, frame by frame: those of the estimates
+    /// that come next. For files; they are not put on the bus.
+    Responses(Vec<Vec<(f64, f64)>>),
     /// Something rare.
     Event(Event),
 }
@@ -66,9 +69,14 @@ pub struct Identification {
     estimator: Estimator,
     band_limit: Option<BandLimit>,
     observation_channels: Vec<usize>,
+    /// of each component of the excitation: the channel that measures it, and what is known of it without one
     excitation_channels: Vec<Option<usize>>,
+    mean_excitation: Vec<f64>,
     parameter_views: Vec<ParameterView>,
     noise_names: Vec<Name>,
+    responses: Vec<EstimatedResponse>,
+    /// of the frames that are being done
+    responded: Vec<Vec<(f64, f64)>>,
     /// one for each observation row; empty where outliers are not screened
     screening: Vec<ScreeningView>,
     /// `None` where there is one model
@@ -181,12 +189,15 @@ impl Identification {
             source: source.into(),
             observation_channels: structure.observation_channels().to_vec(),
             excitation_channels: structure.excitation_channels().to_vec(),
+            mean_excitation: structure.mean_excitation().as_slice().to_vec(),
             observations: vec![f64::NAN; structure.observation_channels().len()],
             excitation: vec![0.0; structure.excitation_channels().len()],
             frame: vec![f64::NAN; channels],
             decimation: Decimation::new(structure.sampling_rate_hz(), structure.display_rate_hz()),
             parameter_views,
             noise_names,
+            responses: structure.estimated_responses().to_vec(),
+            responded: Vec::new(),
             estimator,
             band_limit,
             stream: None,
@@ -197,10 +208,11 @@ impl Identification {
             excitation_names: structure
                 .excitations()
                 .iter()
+                .flat_map(component_names)
                 .zip(structure.excitation_channels())
-                .map(|(excitation, channel)| {
+                .map(|(name, channel)| {
                     let channel = channel.and_then(|channel| structure.channels().nth(channel));
-                    (excitation.name().to_owned(), channel.map(|channel| channel.name().to_owned()))
+                    (name, channel.map(|channel| channel.name().to_owned()))
                 })
                 .collect(),
             since_clipped: None,
@@ -316,8 +328,9 @@ impl Identification {
         for (value, channel) in self.observations.iter_mut().zip(&self.observation_channels) {
             *value = self.frame[*channel];
         }
-        for (value, channel) in self.excitation.iter_mut().zip(&self.excitation_channels) {
-            *value = channel.map_or(0.0, |channel| self.frame[channel]);
+        let known = self.excitation_channels.iter().zip(&self.mean_excitation);
+        for (value, (channel, mean)) in self.excitation.iter_mut().zip(known) {
+            *value = channel.map_or(*mean, |channel| self.frame[channel]);
         }
         self.hear_excitations(time_ns, values, outputs);
         let frame = Frame { observations: &self.observations, excitation: &self.excitation };
@@ -337,7 +350,8 @@ impl Identification {
             self.tell_outliers(time_ns, outputs);
             self.tell_classes(time_ns, outputs);
         }
-        estimates.push(self.estimate(result.ok(), restarted));
+        let estimate = self.estimate(result.ok(), restarted);
+        estimates.push(estimate);
         if let Some(stream) = &mut self.stream {
             stream.next = number + 1;
         }
@@ -376,7 +390,8 @@ impl Identification {
                 if number - from < bridged {
                     self.take_frame(number, &missing, grid, &mut estimates, outputs);
                 } else {
-                    estimates.push(self.estimate(None, false));
+                    let estimate = self.estimate(None, false);
+                    estimates.push(estimate);
                 }
             }
             self.publish(start, estimates, StreamState::Running, outputs);
@@ -407,7 +422,11 @@ impl Identification {
         }
     }
 
-    fn estimate(&self, step: Option<Step>, restarted: bool) -> Estimate {
+    fn estimate(&mut self, step: Option<Step>, restarted: bool) -> Estimate {
+        if !self.responses.is_empty() {
+            let response = |response: &EstimatedResponse| self.estimator.response(response.terms());
+            self.responded.push(self.responses.iter().map(response).collect());
+        }
         let parameters = self.parameter_views.len();
         let noise = self.estimator.noise();
         let innovations = match step {
@@ -438,11 +457,14 @@ impl Identification {
         }
     }
 
-    fn publish(&self, first: u64, estimates: Vec<Estimate>, state: StreamState, outputs: &mut Vec<Output>) {
+    fn publish(&mut self, first: u64, estimates: Vec<Estimate>, state: StreamState, outputs: &mut Vec<Output>) {
         let Some(stream) = self.stream else {
             return;
         };
         let time_ns = TimeGrid::new(stream.t0_ns, stream.sampling_rate_hz).map_or(stream.t0_ns, |g| g.time_ns(first));
+        if !self.responded.is_empty() {
+            outputs.push(Output::Responses(std::mem::take(&mut self.responded)));
+        }
         outputs.push(Output::Estimates(EstimateBlock {
             header: Header { source: self.source.clone(), epoch: stream.epoch, sequence: first, time_ns },
             t0_ns: stream.t0_ns,
@@ -473,6 +495,11 @@ impl Identification {
             }
         }
     }
+}
+
+/// Repeats the name of an excitation for each of its components.
+fn component_names(excitation: &Excitation) -> impl Iterator<Item = String> {
+    std::iter::repeat_n(excitation.name().to_owned(), excitation.component_len())
 }
 
 #[cfg(test)]

@@ -216,6 +216,7 @@ impl IdentifyService {
                     show(publisher, &display).await?;
                 }
             }
+            Output::Responses(_) => {} // for files
             Output::Event(event) => {
                 log_event(&event, None);
                 self.events.put(&event).await?;

@@ -1,10 +1,10 @@
-//! Writes identified parameters: mean and standard deviation of each, one row per frame.
+//! Writes what is identified: mean and standard deviation of each quantity, one row per frame.
 
 use std::path::Path;
 
 use crate::{CsvWriter, RecordError};
 
-/// Writes estimates as CSV: first column `time` in s, then `NAME.mean` and `NAME.std` of each parameter.
+/// Writes estimates as CSV: first column `time` in s, then `NAME.mean` and `NAME.std` of each quantity.
 pub struct EstimateWriter {
     csv: CsvWriter,
     row: Vec<f64>,
@@ -15,18 +15,18 @@ impl EstimateWriter {
     ///
     /// # Errors
     /// The file cannot be created or written.
-    pub fn create<S: AsRef<str>>(path: &Path, parameters: &[S]) -> Result<Self, RecordError> {
-        let columns: Vec<String> = parameters
+    pub fn create<S: AsRef<str>>(path: &Path, names: &[S]) -> Result<Self, RecordError> {
+        let columns: Vec<String> = names
             .iter()
             .flat_map(|name| [format!("{}.mean", name.as_ref()), format!("{}.std", name.as_ref())])
             .collect();
         Ok(Self { csv: CsvWriter::create(path, &columns)?, row: Vec::with_capacity(columns.len()) })
     }
 
-    /// Writes one frame: its time in ns, and mean and standard deviation of each parameter (ratios, or SI units).
+    /// Writes one frame: its time in ns, and mean and standard deviation of each quantity (ratios, or SI units).
     ///
     /// # Errors
-    /// There is not one pair per parameter, a value is infinite, or the file cannot be written.
+    /// There is not one pair per quantity, a value is infinite, or the file cannot be written.
     pub fn write(
         &mut self,
         time_ns: i64,

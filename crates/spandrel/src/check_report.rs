@@ -259,6 +259,9 @@ impl CheckPage {
 
     fn write_parameters(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (Some(after_s), Some(memory_s)) = (self.after_s, self.memory_s) else { return Ok(()) };
+        if self.parameters.is_empty() {
+            return writeln!(f, "\nno parameters: the filter follows the motion and the adapted noise levels only");
+        }
         writeln!(f, "\nparameters (ratios to nominal), with a memory of {memory_s:.1} s\n")?;
         let width = self.name_width();
         let after = format!("after {after_s:.0} s");
@@ -345,7 +348,8 @@ impl CheckPage {
             }
         }
         if self.findings.is_empty() {
-            writeln!(f, "nothing to warn of: these sensors tell all parameters apart")?;
+            f.write_str("nothing to warn of")?;
+            f.write_str(if self.parameters.is_empty() { "\n" } else { ": these sensors tell all parameters apart\n" })?;
         }
         Ok(())
     }

@@ -224,7 +224,7 @@ pub struct EstimateArguments {
     /// The recording.
     #[arg(long)]
     pub record: PathBuf,
-    /// Where to write mean and standard deviation of each parameter, one row per frame.
+    /// Where to write mean and standard deviation of each parameter, response and adapted noise level, one row per frame.
     #[arg(long, value_name = "ESTIMATES.csv")]
     pub output: Option<PathBuf>,
     /// Sound values for alert rules that would learn them.

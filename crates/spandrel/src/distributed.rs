@@ -24,7 +24,7 @@ pub fn fuse(
     structure: &Structure,
     rows: impl Iterator<Item = Result<Row, RecordError>>,
     baseline: Option<&Baseline>,
-    mut take: impl FnMut(&EstimateBlock) -> Result<(), AppError>,
+    mut take: impl FnMut(&EstimateBlock, &[Vec<(f64, f64)>]) -> Result<(), AppError>,
 ) -> Result<Collector, AppError> {
     const EPOCH: u64 = 1;
     let plans = NodePlan::of(structure, Clocks::Right).map_err(SensorError::from)?;
@@ -82,7 +82,10 @@ impl Network {
     }
 
     /// Passes messages on until nothing is on its way.
-    fn settle(&mut self, take: &mut impl FnMut(&EstimateBlock) -> Result<(), AppError>) -> Result<(), AppError> {
+    fn settle(
+        &mut self,
+        take: &mut impl FnMut(&EstimateBlock, &[Vec<(f64, f64)>]) -> Result<(), AppError>,
+    ) -> Result<(), AppError> {
         while let Some((node, message)) = self.local.pop_front() {
             let arrived_ns = message.header.time_ns;
             let mut outputs = Vec::new();
@@ -94,7 +97,7 @@ impl Network {
                         self.watch.handle_block(&block, &mut alerts)?;
                         self.collector.take_estimates(&block);
                         alerts.iter().for_each(|alert| self.collector.take_alert(alert));
-                        take(&block)?;
+                        take(&block, &[])?;
                     }
                     Output::Feedback(node, feedback) => self.work(node, NodeInput::Feedback(feedback)),
                     Output::Event(event) => spandrel_identify::log_event(&event, self.start_ns),

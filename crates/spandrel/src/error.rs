@@ -155,6 +155,12 @@ pub enum AppError {
         /// Seconds left out at its start.
         skip_s: f64,
     },
+    /// A structure without parameters has no sound values.
+    #[error("{}: has no [[parameter]], must have one whose sound value can be learnt", path.display())]
+    NoParameters {
+        /// The structure file.
+        path: PathBuf,
+    },
 }
 
 impl AppError {
@@ -169,6 +175,9 @@ impl AppError {
             | Self::SameStructure { .. }
             | Self::BaselineOfNone { .. }
             | Self::NothingLearnt { .. }
+            | Self::NoParameters { .. }
+            | Self::NoSuchNode { .. }
+            | Self::NothingToFuse
             | Self::WouldOverwrite { .. }
             | Self::ParticlesOnly { .. }
             | Self::WarmUpTooLong { .. }
@@ -185,6 +194,7 @@ impl AppError {
             Self::Bus(_)
             | Self::Ingest(_)
             | Self::Identify(_)
+            | Self::Fuse(_)
             | Self::Alert(_)
             | Self::Sensor(_)
             | Self::Validate(_)

@@ -18,7 +18,8 @@ const MISSING: &str = "missing-samples";
 
 /// Identifies rows of a record, and decides on alerts.
 ///
-/// `take` gets the estimates in order. Returns what was collected on the way.
+/// `take` gets the estimates in order, each block with the responses of its frames, none where the structure file asks for
+/// none. Returns what was collected on the way.
 ///
 /// # Errors
 /// When the structure cannot be identified, the record cannot be read, or `take` fails.
@@ -27,7 +28,7 @@ pub fn identify(
     identification: Identification,
     rows: impl Iterator<Item = Result<Row, RecordError>>,
     baseline: Option<&Baseline>,
-    mut take: impl FnMut(&EstimateBlock) -> Result<(), AppError>,
+    mut take: impl FnMut(&EstimateBlock, &[Vec<(f64, f64)>]) -> Result<(), AppError>,
 ) -> Result<Collector, AppError> {
     let layout = Layout::of(structure)
         .map_err(|source| IngestError::Layout { structure: structure.name().to_owned(), source })?;
@@ -93,7 +94,7 @@ impl Chain {
         &mut self,
         node: usize,
         block: spandrel_bus::SampleBlock,
-        take: &mut impl FnMut(&EstimateBlock) -> Result<(), AppError>,
+        take: &mut impl FnMut(&EstimateBlock, &[Vec<(f64, f64)>]) -> Result<(), AppError>,
     ) -> Result<(), AppError> {
         self.alignment.handle(spandrel_ingest::Input::Samples { node, block }, &mut self.frames);
         for frames in self.frames.drain(..) {
@@ -104,12 +105,14 @@ impl Chain {
             }
             self.identification.handle(Input::Frames(frames), &mut self.outputs);
         }
+        let mut responses = Vec::new();
         for output in self.outputs.drain(..) {
             match output {
+                Output::Responses(of_block) => responses = of_block,
                 Output::Estimates(estimates) => {
                     self.watch.handle_block(&estimates, &mut self.alerts)?;
                     self.collector.take_estimates(&estimates);
-                    take(&estimates)?;
+                    take(&estimates, &std::mem::take(&mut responses))?;
                 }
                 Output::Event(event) => spandrel_identify::log_event(&event, self.start_ns),
                 Output::Classes(display) => self.collector.take_classes(&display),

@@ -19,11 +19,23 @@ fn text(bytes: &[u8]) -> &str {
 
 #[test]
 fn examples_are_checked_with_exit_code_0_and_nothing_on_standard_error() {
-    for name in ["demo.toml", "output-only.toml", "noisy.toml", "matrices.toml"] {
+    for name in ["demo.toml", "output-only.toml", "noisy.toml", "matrices.toml", "fifty-storeys.toml"] {
         let output = check(&[&example(name)]);
         assert_eq!(output.status.code(), Some(0), "{name}: {}", text(&output.stderr));
         assert_eq!(text(&output.stderr), "", "{name}");
         assert!(text(&output.stdout).contains("natural modes as designed"), "{name}: {}", text(&output.stdout));
+    }
+}
+
+#[test]
+fn a_structure_without_parameters_is_said_to_have_motion_and_levels_only() {
+    for (name, adapted) in
+        [("fifty-storeys.toml", "yes"), ("fifty-storeys-wind.toml", "yes"), ("sixty-storeys.toml", "no")]
+    {
+        let output = check(&[&example(name)]);
+        let page = text(&output.stdout);
+        assert!(page.contains("no parameters: the filter follows the motion"), "{name}: {page}");
+        assert!(page.contains(&format!("  {adapted}  ")) && page.contains("nothing to warn of\n"), "{name}: {page}");
     }
 }
 

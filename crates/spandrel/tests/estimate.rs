@@ -226,3 +226,57 @@ fn particles_of_a_large_model_come_with_a_warning() {
     let output = spandrel(&["estimate", "demo.toml", "--record", "demo.csv", "--particles", "1"]);
     assert_eq!(output.status.code(), Some(2));
 }
+
+#[test]
+fn responses_and_noise_levels_are_written_where_there_are_no_parameters() {
+    let folder = tempfile::tempdir().unwrap();
+    let (structure, record) = (example("fifty-storeys.toml"), folder.path().join("building.csv"));
+    simulate(&structure, &record, "20");
+    let table = folder.path().join("estimates.csv");
+    let found = summary(&structure, &record, &["--output", table.to_str().unwrap()]);
+    assert_eq!(found["parameters"], serde_json::json!({}));
+    let text = std::fs::read_to_string(&table).unwrap();
+    let mut lines = text.lines();
+    let pairs = ["displacement-25", "velocity-25", "displacement-50", "velocity-50", "noise/ground", "noise/sensors"];
+    let header = pairs.map(|name| format!("{name}.mean,{name}.std")).join(",");
+    assert_eq!(lines.next(), Some(&*format!("time,{header}")));
+    let last: Vec<f64> = lines.next_back().unwrap().split(',').map(|cell| cell.parse().unwrap()).collect();
+    assert_eq!((lines.count() + 1, last.len()), (2000, 13));
+    // Yuen, Liang & Kuok (2013), table 2: errors of 4.1e-4, 1.2e-3, 5.5e-4 and 1.4e-3, which the filter states within a fifth
+    for (std, published) in
+        [last[2], last[4], last[6], last[8]].into_iter().zip([4.070e-4, 1.222e-3, 5.521e-4, 1.360e-3])
+    {
+        assert!((std / published - 1.0).abs() < 0.2, "{std} {published}");
+    }
+    assert_eq!(
+        (Some(last[9]), Some(last[11])),
+        (found["noise"]["ground"]["mean"].as_f64(), found["noise"]["sensors"]["mean"].as_f64())
+    );
+}
+
+#[test]
+fn a_structure_without_parameters_has_no_baseline() {
+    let folder = tempfile::tempdir().unwrap();
+    let (structure, record) = (example("sixty-storeys.toml"), folder.path().join("building.csv"));
+    simulate(&structure, &record, "1");
+    let output = folder.path().join("baseline.json");
+    let paths = [&structure, &record, &output].map(|path| path.to_str().unwrap());
+    let told = spandrel(&["baseline", paths[0], "--record", paths[1], "--output", paths[2]]);
+    assert_eq!(told.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&told.stderr).contains("has no [[parameter]]"), "{told:?}");
+}
+
+#[test]
+fn particles_follow_a_linear_structure_without_parameters_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = std::fs::read_to_string(example("sixty-storeys.toml")).unwrap();
+    let two = file.replace("storeys = 60", "storeys = 2").replace("floor-10\"", "floor-2\"");
+    let nodes: Vec<&str> = two.split("\n[[node]]\n").collect();
+    let rest = &two[two.find("\n[filter]").unwrap()..];
+    let structure = folder.path().join("two.toml");
+    std::fs::write(&structure, format!("{}\n[[node]]\n{}\n[[node]]\n{}{rest}", nodes[0], nodes[1], nodes[2])).unwrap();
+    let record = folder.path().join("two.csv");
+    simulate(&structure, &record, "10");
+    let found = summary(&structure, &record, &["--filter", "particle", "--particles", "200"]);
+    assert!(found["effective_share"].as_f64().unwrap() > 0.1, "{found}");
+}

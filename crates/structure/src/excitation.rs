@@ -1,5 +1,7 @@
 //! What shakes the structure: ground motion or forces, measured or not.
 
+use nalgebra::DMatrix;
+
 /// Where an excitation acts.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Action {
@@ -7,14 +9,30 @@ pub(crate) enum Action {
     Ground { influence: Vec<f64> },
     /// A force on one degree of freedom (from 0).
     Force { degree_of_freedom: usize },
+    /// Forces on several degrees of freedom that grow and fade together.
+    ForceField(ForceField),
 }
 
-/// One component of the excitation, held over a time step.
+/// Forces with a known mean and the covariance `ψ C`, of which `ψ` is the level: `Σ_f = θ_f Σ_g⁰` of Yuen, Liang & Kuok
+/// (2013), case 3.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct ForceField {
+    /// From 0, one for each force.
+    pub(crate) degrees_of_freedom: Vec<usize>,
+    /// Known mean of each force (N).
+    pub(crate) mean: Vec<f64>,
+    /// `C` (N²), of the samples at level 1.
+    pub(crate) covariance: DMatrix<f64>,
+    /// `L` (N), with `L Lᵀ = C`.
+    pub(crate) factor: DMatrix<f64>,
+}
+
+/// An excitation, held over a time step: one component, or one for each force of a field.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Excitation {
     pub(crate) name: String,
     pub(crate) action: Action,
-    /// Standard deviation of one sample (m/s² or N).
+    /// Standard deviation of one sample (m/s² or N); of a field, the factor on the deviations of its `C` (1).
     pub(crate) std: f64,
     /// Frame channel and noise standard deviation of the channel that measures it.
     pub(crate) measured: Option<Measured>,
@@ -37,7 +55,8 @@ impl Excitation {
         &self.name
     }
 
-    /// Returns the expected standard deviation of one sample (m/s² or N), measured or not.
+    /// Returns the expected standard deviation of one sample (m/s² or N), measured or not; of a field of forces, the
+    /// factor on the deviations that its covariance states (1).
     ///
     /// The filter falls back on it for frames in which the measuring channel is missing.
     #[must_use]
@@ -70,6 +89,16 @@ impl Excitation {
         match self.action {
             Action::Ground { .. } => "m/s2",
             Action::Force { .. } => "N",
+            Action::ForceField(_) => "1",
+        }
+    }
+
+    /// Returns the number of components: that of the forces of a field, otherwise 1.
+    #[must_use]
+    pub fn component_len(&self) -> usize {
+        match &self.action {
+            Action::Ground { .. } | Action::Force { .. } => 1,
+            Action::ForceField(field) => field.degrees_of_freedom.len(),
         }
     }
 }

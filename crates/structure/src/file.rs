@@ -9,6 +9,7 @@ mod classes;
 mod damping;
 mod excitation;
 mod filter;
+mod force_field;
 mod fusion;
 mod matrices;
 mod mesh;
@@ -17,6 +18,7 @@ mod node;
 mod outliers;
 mod parameter;
 mod record;
+mod response;
 mod simulation;
 mod tower;
 
@@ -92,10 +94,17 @@ impl<'t> StructureFile<'t> {
         let system = system.as_ref();
         let nodes = node::read_nodes(&mut file, head.rate_hz, system);
         let channels = (!nodes.incomplete).then_some(&nodes.channels[..]);
-        let excitations =
+        let (declared_excitations, excitations) =
             excitation::read_excitations(&mut file, &excitation::Context { rate_hz: head.rate_hz, system, channels });
         let (declared, parameters) = parameter::read_parameters(&mut file, system, damping.as_ref());
-        let mut plan = filter::read_filter(file.table("filter"), head.rate_hz);
+        if let Some(distributed) =
+            head.distributed.as_ref().filter(|distributed| *distributed.get_ref() && declared == 0)
+        {
+            let allowed = "must not be distributed without a [[parameter]]: parameters are what nodes find and share";
+            diagnostics.report(distributed.span(), "structure.identification", "is \"distributed\"", allowed);
+        }
+        let follows = if declared > 0 { filter::Follows::Parameters } else { filter::Follows::MotionAlone };
+        let mut plan = filter::read_filter(file.table("filter"), head.rate_hz, follows);
         plan.outliers = outliers::read_outliers(file.table("outliers"), head.rate_hz);
         let mut noise_levels = read_noise_levels(&file, &nodes.channels, &excitations);
         for level in &mut noise_levels {
@@ -113,14 +122,17 @@ impl<'t> StructureFile<'t> {
         let parameter_names = (declared == parameters.len()).then_some(&parameter_names[..]);
         let node_names: Vec<&str> = nodes.nodes.iter().map(crate::Node::name).collect();
         let node_names = (!nodes.incomplete).then_some(&node_names[..]);
+        let parameter_spans = parameters.iter().map(|read| read.name.clone());
+        let responses = response::read_responses(&mut file, system, parameter_spans);
         let band_limit = filter::read_band_limit(file.table("band-limit"), head.rate_hz);
         let ingest = filter::read_ingest(file.table("ingest"), head.rate_hz);
         let alert_rules = alert::read_alerts(&mut file, parameter_names);
         let channel_list: Vec<_> = nodes.channels.iter().map(|read| &read.channel).collect();
         let record = record::read_record(file.table("record"), channels.map(|_| &channel_list[..]));
+        let levels = (!nodes.incomplete && declared_excitations == excitations.len()).then_some(&noise_levels[..]);
         let simulation = simulation::read_simulation(
             file.table("simulation"),
-            &simulation::Context { parameters: parameter_names, nodes: node_names },
+            &simulation::Context { parameters: parameter_names, nodes: node_names, levels },
         );
         file.finish();
         Some(Structure {
@@ -131,11 +143,12 @@ impl<'t> StructureFile<'t> {
             display_rate_hz: head.display_rate_hz,
             system: system?.clone(),
             parameters: parameters.into_iter().map(|read| read.parameter).collect(),
-            excitation_channels: excitations.iter().map(|read| read.excitation.channel()).collect(),
+            excitation_channels: excitations.iter().flat_map(component_channels).collect(),
             observation_channels: observation_channels(&nodes.channels),
             excitations: excitations.into_iter().map(|read| read.excitation).collect(),
             nodes: nodes.nodes,
             noise_levels,
+            responses,
             plan,
             classes,
             fusion,
@@ -164,6 +177,11 @@ fn read_head(file: &mut Section<'_>) -> Head {
     head.display_rate_hz = section.number_or("display-rate-hz", Allowed::POSITIVE, DISPLAY_RATE_HZ);
     section.finish();
     head
+}
+
+/// Returns the channel of each component of an excitation.
+fn component_channels(read: &excitation::ExcitationRead) -> impl Iterator<Item = Option<usize>> {
+    std::iter::repeat_n(read.excitation.channel(), read.excitation.component_len())
 }
 
 /// Returns the frame channels that are responses, in frame order.

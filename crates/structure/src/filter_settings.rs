@@ -35,10 +35,13 @@ impl Structure {
             DVector::from_iterator(2 * free + parameters.len(), x.chain(v).chain(parameters))
         };
         let fading = |half_life_s: f64| FadingFactor::from_half_life(half_life_s * self.sampling_rate_hz);
-        let mean = state([0.0, 0.0], of_parameters(&|p| p.mean()));
+        let mut mean = state([0.0, 0.0], of_parameters(&|p| p.mean()));
+        mean.rows_mut(0, 2 * free).copy_from(&self.static_state(&of_parameters(&|p| p.mean())));
         let std = state([plan.displacement_std_m, plan.velocity_std_m_per_s], of_parameters(&|p| p.std()));
         let mut settings = FilterSettings::new(self.step_s(), mean, std, self.noise_model());
-        settings.fading = fading(plan.half_life_s)?;
+        // what is known of a motion needs no forgetting where nothing else is identified: it dies away with the motion
+        let forgets = !self.parameters.is_empty();
+        settings.fading = if forgets { fading(plan.half_life_s)? } else { FadingFactor::NONE };
         settings.variance_bound = state([f64::INFINITY; 2], of_parameters(&|p| plan.variance_bound * p.std().powi(2)));
         settings.lower = state([f64::NEG_INFINITY; 2], of_parameters(&|p| p.bounds().0));
         settings.upper = state([f64::INFINITY; 2], of_parameters(&|p| p.bounds().1));
@@ -96,18 +99,18 @@ impl Structure {
 
     /// Splits the noise levels into what is known and what is adapted.
     fn noise_model(&self) -> NoiseModel {
-        let (inputs, rows) = (self.excitations.len(), self.observation_channels.len());
+        let (inputs, rows) = (self.excitation_channels.len(), self.observation_channels.len());
         let mut model = NoiseModel::known(DMatrix::zeros(inputs, inputs), DMatrix::zeros(rows, rows));
         for level in &self.noise_levels {
             let variance = level.std.powi(2);
-            let (target, size, entries) = match &level.source {
-                NoiseSource::Excitation(input) => (NoiseTarget::Excitation, inputs, std::slice::from_ref(input)),
-                NoiseSource::Sensors(rows_of_group) => (NoiseTarget::Sensors, rows, &rows_of_group[..]),
+            let (target, pattern) = match &level.source {
+                NoiseSource::Excitation(excitation) => (NoiseTarget::Excitation, self.excitation_pattern(*excitation)),
+                NoiseSource::Sensors(rows_of_group) => {
+                    let mut pattern = DMatrix::zeros(rows, rows);
+                    rows_of_group.iter().for_each(|row| pattern[(*row, *row)] = 1.0);
+                    (NoiseTarget::Sensors, pattern)
+                }
             };
-            let mut pattern = DMatrix::zeros(size, size);
-            for entry in entries {
-                pattern[(*entry, *entry)] = 1.0;
-            }
             if level.adapted {
                 model.parameters.push(NoiseParameter {
                     name: level.name.clone(),

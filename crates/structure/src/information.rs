@@ -12,7 +12,7 @@
 
 use crate::linear_form::LinearForm;
 use crate::noise_level::NoiseSource;
-use crate::steady_filter::{NoiseVariances, SteadyFilter};
+use crate::steady_filter::{NoiseCovariances, SteadyFilter};
 use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
 
@@ -83,25 +83,27 @@ impl Information {
 struct Moved {
     form: LinearForm,
     recursion: crate::linear_form::Recursion,
-    noise: NoiseVariances,
+    noise: NoiseCovariances,
 }
 
 impl Moved {
     fn new(structure: &Structure, moved: Option<(Unknown, f64)>) -> Self {
         let mut theta: Vec<f64> = structure.parameters.iter().map(crate::Parameter::mean).collect();
-        let mut variances: Vec<f64> = structure.noise_levels.iter().map(|level| level.std().powi(2)).collect();
+        let levels = structure.noise_levels.len();
+        let mut variances: Vec<f64> = (0..levels).map(|level| structure.expected_level_std(level).powi(2)).collect();
         match moved {
             Some((Unknown::Parameter(parameter), by)) => theta[parameter] += by,
             Some((Unknown::Level(level), by)) => variances[level] *= by.exp(),
             None => {}
         }
-        let mut noise = NoiseVariances {
-            excitation: DVector::zeros(structure.excitations.len()),
+        let inputs = structure.excitation_channels.len();
+        let mut noise = NoiseCovariances {
+            excitation: DMatrix::zeros(inputs, inputs),
             sensors: DVector::zeros(structure.observation_channels.len()),
         };
         for (level, variance) in structure.noise_levels.iter().zip(variances) {
             match level.source() {
-                NoiseSource::Excitation(input) => noise.excitation[*input] = variance,
+                NoiseSource::Excitation(index) => noise.excitation += structure.excitation_pattern(*index) * variance,
                 NoiseSource::Sensors(rows) => rows.iter().for_each(|row| noise.sensors[*row] = variance),
             }
         }
@@ -121,10 +123,12 @@ impl Moved {
     /// Returns `U` of each level: what its variance adds to `S` within one step.
     fn level_patterns<'m>(&'m self, structure: &'m Structure) -> impl Iterator<Item = DMatrix<f64>> + 'm {
         let one_step = &self.form.observation * &self.recursion.input; // H B
-        structure.noise_levels.iter().map(move |level| match level.source() {
-            NoiseSource::Excitation(input) => {
-                let (hb, d) = (one_step.column(*input), self.form.direct.column(*input));
-                (hb * hb.transpose() + d * d.transpose()) * self.noise.excitation[*input]
+        structure.noise_levels.iter().enumerate().map(move |(number, level)| match level.source() {
+            NoiseSource::Excitation(index) => {
+                let (hb, d) = (&one_step, &self.form.direct);
+                let variance = structure.expected_level_std(number).powi(2);
+                let covariance = structure.excitation_pattern(*index) * variance;
+                hb * &covariance * hb.transpose() + d * covariance * d.transpose()
             }
             NoiseSource::Sensors(rows) => {
                 let variance = |row| if rows.contains(&row) { self.noise.sensors[row] } else { 0.0 };
@@ -171,7 +175,7 @@ impl Means {
             let z = structure.observation_channels.iter().map(|channel| values[*channel]);
             let known =
                 structure.excitation_channels.iter().map(|channel| channel.map_or(0.0, |channel| values[channel]));
-            (DVector::from_iterator(z.len(), z), DVector::from_iterator(structure.excitations.len(), known))
+            (DVector::from_iterator(z.len(), z), DVector::from_iterator(known.len(), known))
         };
         let mut derivatives = DMatrix::zeros(rows, all + theta);
         let mut products = DMatrix::zeros(all + theta, all + theta);

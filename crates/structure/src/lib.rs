@@ -24,6 +24,7 @@
 //! - [`Structure`]: all of it; valid, because it comes from a checked file only
 //! - [`Node`], [`Channel`], [`Quantity`]: the sensors
 //! - [`Parameter`], [`Excitation`], [`NoiseLevel`]: what is uncertain, what shakes, and how much
+//! - [`EstimatedResponse`]: displacements and velocities that are asked for and that no sensor measures
 //! - [`AlertRule`], [`BandLimit`], [`IngestSettings`], [`RecordMap`], [`SimulationPlan`]: what other rooms carry out
 //! - [`StructureError`], [`Diagnostic`]: the mistakes of a file, all at once, each with its line
 //!
@@ -38,6 +39,7 @@
 
 mod alert_rule;
 mod error;
+mod estimated_response;
 mod excitation;
 mod filter_plan;
 mod fusion_plan;
@@ -81,6 +83,7 @@ pub use check::{
 };
 pub use classes::StructureClasses;
 pub use error::{Diagnostic, StructureError};
+pub use estimated_response::EstimatedResponse;
 pub use excitation::Excitation;
 pub use fusion_plan::FusionPlan;
 pub use model::StructureModel;

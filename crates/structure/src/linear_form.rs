@@ -3,7 +3,7 @@
 //! `u̇ = A_u u + B_u f`, `z = H u + D f` with `u = [x, ẋ]`: Huang & Yuen (2023), (2.3) to (2.9).
 
 use crate::model::StructureModel;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{InputHold, ObservationModel, ProcessModel};
 
 /// A structure with known parameters in continuous time.
@@ -54,6 +54,13 @@ impl LinearForm {
             direct: direct.unwrap_or_else(|| DMatrix::zeros(observation.nrows(), inputs)),
             observation,
         }
+    }
+
+    /// Returns the state (2 N_d) that stays as it is under a constant `excitation` (N_f): `A_u u + B_u f = 0`.
+    pub(crate) fn rest(&self, excitation: &DVector<f64>) -> DVector<f64> {
+        let pushed = -(&self.input * excitation);
+        // the stiffness is positive definite, checked when the file was read
+        self.system.clone().lu().solve(&pushed).unwrap_or_else(|| DVector::zeros(self.system.nrows()))
     }
 
     /// Makes the recursion for a step of `step_s` (s), read off one exponential of an augmented matrix.

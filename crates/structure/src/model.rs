@@ -17,6 +17,7 @@ mod response;
 use crate::assembly::Assembly;
 use crate::excitation::Action;
 use crate::hysteresis::{Hysteresis, Slopes};
+use crate::linear_form::LinearForm;
 use crate::linear_system::{Damping, LinearSystem, Mass};
 use crate::modes::Modes;
 use crate::parameter::{Parameter, Scales};
@@ -26,7 +27,8 @@ use nalgebra::DMatrix;
 use point::Point;
 use proportional::StiffnessByMass;
 use response::Response;
-use spandrel_filter::{ObservationModel, ProcessModel, ProportionalForm};
+use spandrel_filter::discretise::Series;
+use spandrel_filter::{ConstantTransition, ObservationModel, ProcessModel, ProportionalForm};
 use std::ops::Range;
 
 /// A structure with its sensors, to be linearised at one point for the process and one for the observation.
@@ -91,7 +93,7 @@ impl StructureModel {
         let fixed = Fixed::new(structure);
         let responses: Vec<Response> =
             structure.observations().map(|channel| Response::new(channel, &fixed, &structure.system.mass)).collect();
-        let inputs = structure.excitations.len();
+        let inputs = structure.excitation_channels.len();
         let point = Point::new(&fixed, inputs);
         let feedthrough = DMatrix::zeros(responses.len(), inputs);
         let mut model = Self {
@@ -128,12 +130,19 @@ impl Fixed {
             Mass::Lumped(masses) => (None, masses.iter().map(|mass| 1.0 / mass).collect()),
             Mass::Consistent { factor, .. } => (Some(factor.clone()), vec![1.0; len]),
         };
-        let inputs = structure.excitations.len();
+        let inputs = structure.excitation_channels.len();
         let mut forces = DMatrix::zeros(len, inputs);
         let mut grounds = DMatrix::zeros(len, inputs);
-        for (input, excitation) in structure.excitations.iter().enumerate() {
+        for (index, excitation) in structure.excitations.iter().enumerate() {
+            let components = structure.components(index);
+            let input = components.start;
             match &excitation.action {
                 Action::Force { degree_of_freedom } => forces[(*degree_of_freedom, input)] = 1.0,
+                Action::ForceField(field) => {
+                    for (input, degree_of_freedom) in components.zip(&field.degrees_of_freedom) {
+                        forces[(*degree_of_freedom, input)] = 1.0;
+                    }
+                }
                 Action::Ground { influence } => {
                     for (entry, influence) in grounds.column_mut(input).iter_mut().zip(influence) {
                         *entry = -influence;
@@ -269,9 +278,30 @@ impl ProcessModel for StructureModel {
             acceleration_by_theta: &self.process.acceleration_by_theta,
         })
     }
+
+    /// A linear structure without parameters never changes: its filter is the Kalman filter.
+    fn constant_transition(&self, step_s: f64) -> Option<ConstantTransition> {
+        if self.parameter_len() > 0 || self.is_hysteretic() || !self.is_densely_faster(step_s) {
+            return None;
+        }
+        let form = LinearForm::new(&mut self.clone(), &[]);
+        ConstantTransition::dense(&form.system, &form.input, step_s).ok()
+    }
 }
 
+/// A product with a dense matrix runs through memory, one with a sparse matrix looks each entry up: so many times slower.
+const LOOKING_UP: usize = 4;
+
 impl StructureModel {
+    /// Tells whether a step with the exact transition (n × n), for which what the noises add is known beforehand, is faster
+    /// than one with the series in the sparse Jacobian.
+    fn is_densely_faster(&self, step_s: f64) -> bool {
+        let (n, inputs) = (self.state_len(), self.excitation_len());
+        let Series { substeps, order } = Series::choose(self.rate_bound(), step_s);
+        let series = LOOKING_UP * substeps * order * (2 * self.fixed.assembly.entry_count() + 4 * n);
+        n * n <= series + n * inputs * inputs // of each column; the last for B Σ_f Bᵀ
+    }
+
     /// Tells whether the springs are hysteretic, so that the state holds their hysteretic displacements.
     pub(crate) fn is_hysteretic(&self) -> bool {
         self.fixed.hysteresis.is_some()

@@ -3,7 +3,7 @@
 /// What a noise level is the variance of.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum NoiseSource {
-    /// The unknown part of one excitation component (index from 0).
+    /// The unknown part of an excitation (index from 0), all components of a field together.
     Excitation(usize),
     /// The measurement noise of these observation rows (indices from 0).
     Sensors(Vec<usize>),

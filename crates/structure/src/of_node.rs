@@ -45,9 +45,15 @@ impl Structure {
         let noise_levels = self.noise_levels.iter().filter_map(level).collect();
         let mut simulation = self.simulation.clone();
         simulation.clock_offsets_s = vec![self.simulation.clock_offsets_s[position]];
+        simulation.faults.retain(|fault| fault.node == position);
+        simulation.faults.iter_mut().for_each(|fault| fault.node = 0);
+        simulation.levels.clear(); // they are numbered as in the whole structure, which is what is simulated
         Some(Self {
             sampling_rate_hz,
-            excitation_channels: excitations.iter().map(crate::Excitation::channel).collect(),
+            excitation_channels: excitations
+                .iter()
+                .flat_map(|excitation| std::iter::repeat_n(excitation.channel(), excitation.component_len()))
+                .collect(),
             observation_channels: rows.iter().map(|row| self.observation_channels[*row] - first).collect(),
             excitations,
             nodes: vec![Node { sampling_rate_hz: None, ..node }],
@@ -93,8 +99,10 @@ mod tests {
 
     #[test]
     fn a_slower_node_sees_the_same_white_noise() {
-        let text = include_str!("../../../docs/examples/demo.toml")
-            .replace("name = \"floor-3\"\n\n[[node.channel]]", "name = \"floor-3\"\nsampling-rate-hz = 50\n\n[[node.channel]]");
+        let text = include_str!("../../../docs/examples/demo.toml").replace(
+            "name = \"floor-3\"\n\n[[node.channel]]",
+            "name = \"floor-3\"\nsampling-rate-hz = 50\n\n[[node.channel]]",
+        );
         let structure = Structure::parse(&text, Path::new("slow.toml")).unwrap();
         let floor = structure.of_node("floor-3").unwrap();
         assert_eq!(floor.sampling_rate_hz(), 50.0);

@@ -10,6 +10,43 @@ pub struct SimulationPlan {
     pub(crate) spikes: Spikes,
     /// One per node, s.
     pub(crate) clock_offsets_s: Vec<f64>,
+    /// Noise levels (from 0) that are not what the file states: their actual standard deviations.
+    pub(crate) levels: Vec<(usize, f64)>,
+    pub(crate) faults: Vec<Fault>,
+}
+
+/// What is wrong with a node for a time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Fault {
+    pub(crate) node: usize,
+    pub(crate) kind: FaultKind,
+    /// From when until when (s).
+    pub(crate) from_s: f64,
+    pub(crate) until_s: f64,
+    /// Of a bias, in standard deviations of the channel's noise.
+    pub(crate) height: f64,
+}
+
+/// What a fault does to the samples of a node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum FaultKind {
+    /// All channels are off by a constant.
+    Bias,
+    /// There are none.
+    Silence,
+}
+
+impl Fault {
+    /// Returns what a sample of the node becomes at a time.
+    pub(crate) fn apply(&self, sample: f64, noise_std: f64, time_s: f64) -> f64 {
+        if !(self.from_s..self.until_s).contains(&time_s) {
+            return sample;
+        }
+        match self.kind {
+            FaultKind::Bias => sample + self.height * noise_std,
+            FaultKind::Silence => f64::NAN,
+        }
+    }
 }
 
 /// Swells the excitation once: amplitude `W(t) = 1 + s exp(1 − s)`, `s = (t − t_a)/t_b` from `t_a` on, 1 before.
@@ -75,6 +112,9 @@ impl SimulationPlan {
     /// Height of a spike in standard deviations of the noise, unless the file says otherwise: beyond any doubt.
     pub(crate) const SPIKE_HEIGHT: f64 = 50.0;
 
+    /// Height of a bias in standard deviations of the noise, unless the file says otherwise: hidden in a single sample.
+    pub(crate) const BIAS_HEIGHT: f64 = 4.0;
+
     /// Makes a plan in which nothing happens to a structure with `nodes` sensor nodes.
     pub(crate) fn uneventful(nodes: usize) -> Self {
         Self {
@@ -84,6 +124,8 @@ impl SimulationPlan {
             dropped_share: 0.0,
             spikes: Spikes { share: 0.0, height: Self::SPIKE_HEIGHT, kind: SpikeKind::Added },
             clock_offsets_s: vec![0.0; nodes],
+            faults: Vec::new(),
+            levels: Vec::new(),
         }
     }
 

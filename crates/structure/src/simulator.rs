@@ -6,10 +6,12 @@
 
 mod motion;
 
+use crate::excitation::Action;
+use crate::noise_level::NoiseSource;
 use crate::simulation_plan::{SimulationPlan, SpikeKind, Spikes};
 use crate::structure::Structure;
 use motion::{Amplitude, Motion};
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -40,16 +42,29 @@ struct SimulatedChannel {
     noise_std: f64,
     /// Frames from one sample of the node to its next.
     every: u64,
+    /// Place of its node in the file.
+    node: usize,
+}
+
+/// How the samples of one excitation come about.
+#[derive(Debug, Clone)]
+enum Shaking {
+    /// A component of this standard deviation.
+    Single { std: f64 },
+    /// Components that are drawn together: `m + σ L w` with white `w`.
+    Field { mean: DVector<f64>, factor: DMatrix<f64>, white: DVector<f64>, std: f64 },
 }
 
 /// Simulates a structure from rest, frame by frame, without end.
+///
+/// Under mean forces it begins in the equilibrium with them.
 #[derive(Debug, Clone)]
 pub struct Simulator {
     motion: Motion,
     plan: SimulationPlan,
     undamaged: Vec<f64>,
     step_s: f64,
-    excitation_std: Vec<f64>,
+    shaking: Vec<Shaking>,
     channels: Vec<SimulatedChannel>,
     theta: Vec<f64>,
     /// `f` and the next `f` (N_f), `z` (N_0)
@@ -74,6 +89,7 @@ impl Structure {
     pub fn clean_simulator(&self, seed: u64) -> Simulator {
         let mut plan = self.simulation.clone();
         (plan.dropped_share, plan.spikes.share) = (0.0, 0.0);
+        plan.faults.clear();
         let mut simulator = Simulator::new(self, plan, vec![1.0; self.parameters.len()], Amplitude::Any, seed);
         for channel in &mut simulator.channels {
             (channel.noise_std, channel.every) = (0.0, 1);
@@ -81,8 +97,8 @@ impl Structure {
         simulator
     }
 
-    /// Makes a simulation of the structure at its prior means, with nothing but white noise happening to it; hysteretic
-    /// springs are linear in it, as for small motions.
+    /// Makes a simulation of the structure at its prior means, with nothing but white noise happening to it; mean forces
+    /// are left out, and hysteretic springs are linear in it, as for small motions.
     pub(crate) fn undamaged_simulator(&self, seed: u64) -> Simulator {
         let plan = SimulationPlan::uneventful(self.nodes.len());
         let means = self.parameters.iter().map(crate::Parameter::mean).collect();
@@ -108,8 +124,12 @@ impl Simulator {
     fn new(structure: &Structure, plan: SimulationPlan, undamaged: Vec<f64>, amplitude: Amplitude, seed: u64) -> Self {
         let theta = true_parameters(&plan, &undamaged, 0.0);
         let step_s = structure.step_s();
-        let motion = Motion::new(structure.model(), &theta, step_s, structure.plan.input_hold, amplitude);
-        let inputs = structure.excitations.len();
+        let inputs = structure.excitation_channels.len();
+        let start = match amplitude {
+            Amplitude::Any => structure.static_state(&theta),
+            Amplitude::Small => DVector::zeros(2 * structure.system.len()),
+        };
+        let motion = Motion::new(structure.model(), &theta, step_s, structure.plan.input_hold, amplitude, start);
         // streams of their own, so that a dropped sample changes neither the motion nor the noise
         let random = |stream| {
             let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -119,11 +139,11 @@ impl Simulator {
         let mut simulator = Self {
             motion,
             response: DVector::zeros(structure.observation_channels.len()),
-            plan,
             undamaged,
             step_s,
-            excitation_std: structure.excitations.iter().map(crate::Excitation::std).collect(),
+            shaking: shaking(structure, amplitude),
             channels: simulated_channels(structure),
+            plan,
             theta,
             excitation: DVector::zeros(inputs),
             next_excitation: DVector::zeros(inputs),
@@ -148,9 +168,22 @@ impl Simulator {
     fn draw_excitation(&mut self, index: u64) {
         let time_s = index as f64 * self.step_s;
         let amplitude = self.plan.modulation.map_or(1.0, |modulation| modulation.amplitude(time_s));
-        for (entry, std) in self.next_excitation.iter_mut().zip(&self.excitation_std) {
-            let normal: f64 = self.excitation_random.sample(StandardNormal);
-            *entry = amplitude * std * normal;
+        let mut first = 0;
+        for shaking in &mut self.shaking {
+            match shaking {
+                Shaking::Single { std } => {
+                    let normal: f64 = self.excitation_random.sample(StandardNormal);
+                    self.next_excitation[first] = amplitude * *std * normal;
+                    first += 1;
+                }
+                Shaking::Field { mean, factor, white, std } => {
+                    white.iter_mut().for_each(|entry| *entry = self.excitation_random.sample(StandardNormal));
+                    let mut forces = self.next_excitation.rows_mut(first, mean.len());
+                    forces.copy_from(mean);
+                    forces.gemv(amplitude * *std, factor, white, 1.0);
+                    first += mean.len();
+                }
+            }
         }
     }
 
@@ -180,6 +213,9 @@ impl Simulator {
                 SpikeKind::Added => truth + channel.noise_std * (normal + if side < 0.5 { height } else { -height }),
                 SpikeKind::Replaced => channel.noise_std * height * (2.0 * side - 1.0),
             };
+            let time_s = self.index as f64 * self.step_s;
+            let of_node = self.plan.faults.iter().filter(|fault| fault.node == channel.node);
+            let sample = of_node.fold(sample, |sample, fault| fault.apply(sample, channel.noise_std, time_s));
             let missing = dropped < self.plan.dropped_share || !self.index.is_multiple_of(channel.every);
             values.push(if missing { f64::NAN } else { sample });
         }
@@ -209,18 +245,50 @@ impl Iterator for Simulator {
     }
 }
 
+/// Makes what draws the samples of each excitation.
+fn shaking(structure: &Structure, amplitude: Amplitude) -> Vec<Shaking> {
+    let shaking = |(index, excitation): (usize, &crate::Excitation)| {
+        // the level of a measured one is that of its channel's noise
+        let is_own = |source: &NoiseSource| excitation.measured.is_none() && *source == NoiseSource::Excitation(index);
+        let std = actual_std(structure, is_own).unwrap_or(excitation.std());
+        match &excitation.action {
+            Action::Ground { .. } | Action::Force { .. } => Shaking::Single { std },
+            Action::ForceField(field) => {
+                let mut mean = DVector::from_column_slice(&field.mean);
+                if amplitude == Amplitude::Small {
+                    mean.fill(0.0);
+                }
+                Shaking::Field { white: mean.clone(), mean, factor: field.factor.clone(), std }
+            }
+        }
+    };
+    structure.excitations.iter().enumerate().map(shaking).collect()
+}
+
+/// Returns the actual standard deviation of the noise level that `is_meant`.
+fn actual_std(structure: &Structure, is_meant: impl Fn(&NoiseSource) -> bool) -> Option<f64> {
+    let level = structure.noise_levels.iter().position(|level| is_meant(&level.source));
+    level.map(|level| structure.expected_level_std(level))
+}
+
 fn simulated_channels(structure: &Structure) -> Vec<SimulatedChannel> {
     let mut channels = Vec::new();
-    for node in structure.nodes() {
+    for (place, node) in structure.nodes().iter().enumerate() {
         let every = node.sampling_rate_hz().map_or(1.0, |rate_hz| structure.sampling_rate_hz / rate_hz);
         for channel in node.channels() {
             let frame_channel = channels.len();
             let position = |of: &[usize]| of.iter().position(|channel| *channel == frame_channel);
-            let row = position(&structure.observation_channels).map(Source::Response);
+            let row = position(&structure.observation_channels);
             let input = structure.excitation_channels.iter().position(|channel| *channel == Some(frame_channel));
+            let measured = structure.excitations.iter().position(|e| e.channel() == Some(frame_channel));
+            let is_own = |source: &NoiseSource| match source {
+                NoiseSource::Sensors(rows) => row.is_some_and(|row| rows.contains(&row)),
+                NoiseSource::Excitation(index) => measured == Some(*index),
+            };
+            let noise_std = actual_std(structure, is_own).unwrap_or(channel.noise_std());
             // a channel is one or the other, checked when the file was read
-            if let Some(source) = row.or(input.map(Source::Excitation)) {
-                channels.push(SimulatedChannel { source, noise_std: channel.noise_std(), every: every.round() as u64 });
+            if let Some(source) = row.map(Source::Response).or(input.map(Source::Excitation)) {
+                channels.push(SimulatedChannel { source, noise_std, every: every.round() as u64, node: place });
             }
         }
     }

@@ -9,10 +9,10 @@ use crate::linear_form::{LinearForm, Recursion};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::steady::riccati_by_doubling;
 
-/// Variances of the unknown excitation (N_f) and of the sensors (N_0).
+/// Covariance of the unknown excitation (N_f × N_f) and variances of the sensors (N_0).
 #[derive(Debug, Clone)]
-pub(crate) struct NoiseVariances {
-    pub(crate) excitation: DVector<f64>,
+pub(crate) struct NoiseCovariances {
+    pub(crate) excitation: DMatrix<f64>,
     pub(crate) sensors: DVector<f64>,
 }
 
@@ -37,11 +37,11 @@ pub(crate) struct SteadyFilter {
 
 impl SteadyFilter {
     /// Makes the filter; `None` if there is no stationary one (a mode neither damped nor observed).
-    pub(crate) fn new(form: &LinearForm, recursion: Recursion, noise: &NoiseVariances) -> Option<Self> {
+    pub(crate) fn new(form: &LinearForm, recursion: Recursion, noise: &NoiseCovariances) -> Option<Self> {
         let (a, b) = (&recursion.transition, &recursion.input);
         let (h, d) = (&form.observation, &form.direct);
-        let b_f = b * DMatrix::from_diagonal(&noise.excitation); // B Σ_f
-        let d_f = d * DMatrix::from_diagonal(&noise.excitation);
+        let b_f = b * &noise.excitation; // B Σ_f
+        let d_f = d * &noise.excitation;
         let r = &d_f * d.transpose() + DMatrix::from_diagonal(&noise.sensors); // D Σ_f Dᵀ + Σ_n
         let f_d = d_f.transpose(); // Σ_f Dᵀ
         let cross = b * &f_d;

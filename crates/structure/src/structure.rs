@@ -3,10 +3,12 @@
 use crate::alert_rule::AlertRule;
 use crate::classes::ClassesPlan;
 use crate::error::StructureError;
-use crate::excitation::Excitation;
+use crate::estimated_response::EstimatedResponse;
+use crate::excitation::{Action, Excitation};
 use crate::file::StructureFile;
 use crate::filter_plan::{Annealing, FilterPlan};
 use crate::fusion_plan::FusionPlan;
+use crate::linear_form::LinearForm;
 use crate::linear_system::LinearSystem;
 use crate::modes::Modes;
 use crate::node::{Channel, Node};
@@ -15,6 +17,8 @@ use crate::parameter::Parameter;
 use crate::record_map::RecordMap;
 use crate::settings::{BandLimit, IngestSettings};
 use crate::simulation_plan::SimulationPlan;
+use nalgebra::{DMatrix, DVector};
+use std::ops::Range;
 use std::path::Path;
 
 /// Share of the noise of the sensors that the start-up aid may add once it counts as faded.
@@ -37,6 +41,7 @@ pub struct Structure {
     pub(crate) nodes: Vec<Node>,
     pub(crate) observation_channels: Vec<usize>,
     pub(crate) noise_levels: Vec<NoiseLevel>,
+    pub(crate) responses: Vec<EstimatedResponse>,
     pub(crate) plan: FilterPlan,
     pub(crate) classes: Option<ClassesPlan>,
     pub(crate) fusion: Option<FusionPlan>,
@@ -131,16 +136,62 @@ impl Structure {
         &self.parameters
     }
 
-    /// Returns the components of the excitation.
+    /// Returns the excitations; a field of forces has several components.
     #[must_use]
     pub fn excitations(&self) -> &[Excitation] {
         &self.excitations
     }
 
-    /// Returns the frame channel of each excitation component, `None` where it is not measured.
+    /// Returns the frame channel of each excitation component (N_f), `None` where it is not measured.
     #[must_use]
     pub fn excitation_channels(&self) -> &[Option<usize>] {
         &self.excitation_channels
+    }
+
+    /// Returns the known mean of each excitation component (N_f, m/s² or N): 0 but for fields of forces.
+    #[must_use]
+    pub fn mean_excitation(&self) -> DVector<f64> {
+        let means = self.excitations.iter().flat_map(|excitation| match &excitation.action {
+            Action::Ground { .. } | Action::Force { .. } => vec![0.0],
+            Action::ForceField(field) => field.mean.clone(),
+        });
+        DVector::from_iterator(self.excitation_channels.len(), means)
+    }
+
+    /// Returns the state `[x, ẋ]` (2 N_d) in which the structure rests under the mean excitation, with parameters `theta`
+    /// (ratios to nominal).
+    pub(crate) fn static_state(&self, theta: &[f64]) -> DVector<f64> {
+        let mean = self.mean_excitation();
+        if mean.iter().all(|component| *component == 0.0) {
+            return DVector::zeros(2 * self.system.len());
+        }
+        LinearForm::new(&mut self.model(), theta).rest(&mean)
+    }
+
+    /// Returns the standard deviation that a noise level (from 0) is expected to have: the actual one of a simulation, or
+    /// the one that the file states.
+    pub(crate) fn expected_level_std(&self, level: usize) -> f64 {
+        let actual = self.simulation.levels.iter().find(|(simulated, _)| *simulated == level);
+        actual.map_or(self.noise_levels[level].std, |(_, std)| *std)
+    }
+
+    /// Returns the components (from 0) of one excitation.
+    pub(crate) fn components(&self, excitation: usize) -> Range<usize> {
+        let first = self.excitations[..excitation].iter().map(Excitation::component_len).sum();
+        first..first + self.excitations[excitation].component_len()
+    }
+
+    /// Returns what the variance of an excitation multiplies in `Σ_f` (N_f × N_f): 1, or the covariance of a field.
+    pub(crate) fn excitation_pattern(&self, excitation: usize) -> DMatrix<f64> {
+        let inputs = self.excitation_channels.len();
+        let mut pattern = DMatrix::zeros(inputs, inputs);
+        let components = self.components(excitation);
+        let mut own = pattern.view_mut((components.start, components.start), (components.len(), components.len()));
+        match &self.excitations[excitation].action {
+            Action::Ground { .. } | Action::Force { .. } => own.fill(1.0),
+            Action::ForceField(field) => own.copy_from(&field.covariance),
+        }
+        pattern
     }
 
     /// Returns the frame channel of each observation row.
@@ -149,7 +200,7 @@ impl Structure {
         &self.observation_channels
     }
 
-    /// Returns the variances of excitation and sensors: first one per excitation component, then the groups of sensors.
+    /// Returns the variances of excitation and sensors: first one per excitation, then the groups of sensors.
     #[must_use]
     pub fn noise_levels(&self) -> &[NoiseLevel] {
         &self.noise_levels
@@ -172,6 +223,12 @@ impl Structure {
     pub fn annealing_end_s(&self) -> f64 {
         let Annealing { amount, time_s } = self.plan.annealing;
         time_s * (amount / ANNEALING_FADED).ln().max(0.0)
+    }
+
+    /// Returns the responses whose estimates are asked for.
+    #[must_use]
+    pub fn estimated_responses(&self) -> &[EstimatedResponse] {
+        &self.responses
     }
 
     /// Returns the alert rules.

@@ -1,7 +1,7 @@
 use super::*;
 use crate::{
     ExtendedKalmanFilter, FadingFactor, FilterSettings, Frame, InputHold, NoiseModel, NoiseParameter, NoiseRule,
-    NoiseSettings, NoiseTarget,
+    NoiseSettings, NoiseTarget, OutlierSettings,
 };
 
 /// Three unequal masses in a row with Rayleigh damping, two forces, absolute accelerations of the first and the last.
@@ -217,5 +217,25 @@ fn constant_transition_gives_what_the_series_gives() {
                 assert!(ratio.iter().all(|ratio| (ratio - 1.0).abs() < 1e-9), "{label}");
             }
         }
+    }
+}
+
+/// What a step adds to the variance of a residual was missing where it is known beforehand.
+#[test]
+fn outliers_are_screened_alike_with_and_without_a_constant_transition() {
+    let ([mass, damping, stiffness], distribution, observation) = matrices();
+    let of = [&mass, &damping, &stiffness];
+    let model = StateSpace::second_order(of, &distribution, observation, DirectTerm::None).unwrap();
+    let mut settings = settings(&model, NoiseRule::Fixed, InputHold::Zero);
+    settings.outliers = Some(OutlierSettings::for_period(5.0));
+    let constant = run(model.clone(), settings.clone());
+    let stepwise = run(Stepwise(model), settings);
+    let screens = [&constant.outliers().unwrap(), &stepwise.outliers().unwrap()].map(|state| state.channels());
+    for (constant, stepwise) in screens[0].iter().zip(screens[1]) {
+        assert!(constant.trained() && stepwise.trained());
+        for (found, expected) in [(constant.scale(), stepwise.scale()), (constant.residual(), stepwise.residual())] {
+            assert!((found / expected - 1.0).abs() < 1e-9, "{found}, {expected}");
+        }
+        assert_eq!(constant.rejected(), stepwise.rejected());
     }
 }

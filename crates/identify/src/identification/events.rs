@@ -3,7 +3,7 @@
 use super::hearing::{Heard, Spans};
 use super::{Identification, Output, Stream};
 use spandrel_bus::{Event, EventKind};
-use spandrel_filter::{OutlierChange, Step};
+use spandrel_filter::{NoiseRule, OutlierChange, Step};
 
 /// Subject of the events that concern the whole identification.
 const IDENTIFY: &str = "identify";
@@ -11,7 +11,12 @@ const IDENTIFY: &str = "identify";
 impl Identification {
     pub(super) fn tell_noise_events(&self, time_ns: i64, step: &Step, outputs: &mut Vec<Output>) {
         if step.training_ended {
-            let why = "their relative deviations are below 10 % and the innovations agree with them";
+            let why = match self.estimator.settings().noise_settings.rule {
+                NoiseRule::HalfOrDouble => "neither halving nor doubling a level has improved on them for ten frames",
+                NoiseRule::Fisher | NoiseRule::Published | NoiseRule::Fixed => {
+                    "their relative deviations are below 10 % and the innovations agree with them"
+                }
+            };
             outputs.push(self.event(time_ns, EventKind::Calibration, "noise levels trained", why));
         }
         if step.training_overdue {

@@ -19,13 +19,16 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
     let inputs = std::iter::once(&arguments.structure).chain(&arguments.record);
     refuse_overwriting(&arguments.output, inputs.map(|path| path.as_path()))?;
     let structure = Structure::read(&arguments.structure)?;
+    if structure.parameters().is_empty() {
+        return Err(AppError::NoParameters { path: arguments.structure.clone() });
+    }
     let skipped = (arguments.skip * structure.sampling_rate_hz()) as u64;
     let mut records = Vec::new();
     for path in &arguments.record {
         let recording = record_source::open(&structure, path)?;
         let mut frames: Vec<Vec<(f64, f64)>> = Vec::new();
         let identification = Identification::new(&structure, "identify")?;
-        offline::identify(&structure, identification, recorded_rows(recording, 0), None, |block| {
+        offline::identify(&structure, identification, recorded_rows(recording, 0), None, |block, _| {
             for (number, estimate) in block.iter() {
                 if number >= skipped && estimate.flags.phase == Phase::Working {
                     let std = |index| estimate.variance(index).unwrap_or(0.0).max(0.0).sqrt();

@@ -34,23 +34,25 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
     if let (Some(baseline), Some(path)) = (&baseline, &arguments.baseline) {
         tell_unused_baseline(&structure, baseline, path);
     }
-    let names: Vec<&str> = structure.parameters().iter().map(|parameter| parameter.name()).collect();
+    let by_nodes = structure.fusion().is_some() && arguments.filter == FilterChoice::Kalman;
+    let one_filter = if by_nodes { None } else { Some(identification(&structure, arguments)?) };
+    let names = match &one_filter {
+        Some(identification) => columns(&structure, identification),
+        None => structure.parameters().iter().map(|parameter| parameter.name().to_owned()).collect(),
+    };
     let mut writer = arguments.output.as_deref().map(|path| EstimateWriter::create(path, &names)).transpose()?;
     let bar = progress::bar("identifying", record_source::expected_rows(&arguments.record));
     let rows = recorded_rows(recording, 0);
-    let take = |block: &EstimateBlock| {
+    let take = |block: &EstimateBlock, responses: &[Vec<(f64, f64)>]| {
         bar.inc(block.estimates.len() as u64);
         match &mut writer {
-            Some(writer) => write(writer, block),
+            Some(writer) => write(writer, block, responses),
             None => Ok(()),
         }
     };
-    let by_nodes = structure.fusion().is_some() && arguments.filter == FilterChoice::Kalman;
-    let collector = if by_nodes {
-        distributed::fuse(&structure, rows, baseline.as_ref(), take)?
-    } else {
-        let identification = identification(&structure, arguments)?;
-        offline::identify(&structure, identification, rows, baseline.as_ref(), take)?
+    let collector = match one_filter {
+        Some(identification) => offline::identify(&structure, identification, rows, baseline.as_ref(), take)?,
+        None => distributed::fuse(&structure, rows, baseline.as_ref(), take)?,
     };
     bar.finish_and_clear();
     if let Some(writer) = writer {
@@ -89,14 +91,27 @@ fn identification(structure: &Structure, arguments: &EstimateArguments) -> Resul
     }
 }
 
-fn write(writer: &mut EstimateWriter, block: &EstimateBlock) -> Result<(), AppError> {
+/// Returns what is written of each frame: parameters, responses, and then the identified noise levels.
+fn columns(structure: &Structure, identification: &Identification) -> Vec<String> {
+    let parameters = structure.parameters().iter().map(|parameter| parameter.name().to_owned());
+    let responses = structure.estimated_responses().iter().map(|response| response.name().to_owned());
+    // a level may have the name of a parameter
+    let levels = identification.noise_names().iter().map(|name| format!("noise/{name}"));
+    parameters.chain(responses).chain(levels).collect()
+}
+
+fn write(writer: &mut EstimateWriter, block: &EstimateBlock, responses: &[Vec<(f64, f64)>]) -> Result<(), AppError> {
     let Some(grid) = block.grid() else {
         return Ok(()); // our own blocks have one
     };
-    for (number, estimate) in block.iter() {
-        let pairs = estimate.mean.iter().enumerate();
-        let pairs = pairs.map(|(index, mean)| (*mean, estimate.variance(index).unwrap_or(0.0).max(0.0).sqrt()));
-        writer.write(grid.time_ns(number), pairs)?;
+    for (index, (number, estimate)) in block.iter().enumerate() {
+        let std = |variance: f64| variance.max(0.0).sqrt();
+        let parameters = estimate.mean.iter().enumerate();
+        let parameters = parameters.map(|(index, mean)| (*mean, std(estimate.variance(index).unwrap_or(0.0))));
+        let responses = responses.get(index).into_iter().flatten().copied();
+        let levels = estimate.noise_mean.iter().zip(&estimate.noise_covariance);
+        let levels = levels.map(|(mean, variance)| (*mean, std(*variance)));
+        writer.write(grid.time_ns(number), parameters.chain(responses).chain(levels))?;
     }
     Ok(())
 }

@@ -147,6 +147,7 @@ impl Heard {
             return;
         }
         structure.data_heard = Some(now);
+        structure.time_ns = structure.time_ns.max(Some(display.time_ns));
         structure.noise.insert(name, display);
     }
 

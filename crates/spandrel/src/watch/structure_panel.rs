@@ -77,7 +77,11 @@ impl StructurePanel {
             header: header(axis, columns, &losses),
             rows: rows.collect(),
             footer: footer(heard, structure, width),
-            nothing_measured: Line::from(nothing_measured(structure)),
+            nothing_measured: Line::from(if structure.noise.is_empty() {
+                nothing_measured(structure)
+            } else {
+                "no parameters: motion and noise levels"
+            }),
         }
     }
 

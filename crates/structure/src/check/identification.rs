@@ -4,6 +4,7 @@ use super::{IdentificationReport, NoiseLevelReport, ParameterReport};
 use crate::information::Information;
 use crate::structure::Structure;
 use nalgebra::DMatrix;
+use spandrel_filter::FadingFactor;
 
 /// Standard deviation of the logarithm of a noise variance that nothing is known of: a factor of e¹⁰ either way.
 const VAGUE: f64 = 10.0;
@@ -25,8 +26,12 @@ impl Structure {
     pub(super) fn identification(&self, information: &Information, frames: u64) -> Option<IdentificationReport> {
         let settings = self.filter_settings().ok()?;
         // Σ λ⁻ᵏ over the frames before this one
-        let memory_frames = 1.0 / (settings.fading.value() - 1.0);
         let noise_memory_frames = 1.0 / (settings.noise_settings.fading - 1.0);
+        // without parameters only the levels are forgotten
+        let memory_frames = match settings.fading {
+            FadingFactor::NONE => noise_memory_frames,
+            fading => 1.0 / (fading.value() - 1.0),
+        };
         let (theta, all) = (self.parameters.len(), information.held.nrows());
         let everything: Vec<usize> = (0..all).collect();
         let unknown: Vec<usize> =

@@ -12,7 +12,15 @@ const CLEAR_CREDIBILITY: f64 = 0.5;
 
 /// Reads every `[[alert]]`; `parameters` are the names in state order, `None` if some could not be read.
 pub(super) fn read_alerts(file: &mut Section<'_>, parameters: Option<&[&str]>) -> Vec<AlertRule> {
-    file.tables("alert").into_iter().filter_map(|section| read_alert(section, parameters)).collect()
+    let sections = file.tables("alert");
+    if parameters.is_some_and(<[&str]>::is_empty) {
+        for section in sections {
+            let allowed = "must not be given without a [[parameter]]: an alert watches parameters";
+            section.diagnostics().report(section.span(), "alert", "is given", allowed);
+        }
+        return Vec::new();
+    }
+    sections.into_iter().filter_map(|section| read_alert(section, parameters)).collect()
 }
 
 fn read_alert(mut section: Section<'_>, parameters: Option<&[&str]>) -> Option<AlertRule> {

@@ -1,6 +1,7 @@
 //! Reads `[[excitation]]`.
 
 use super::check_unique;
+use super::force_field::{KEYS as FIELD_KEYS, read_force_field};
 use super::matrices::beside;
 use super::node::{ChannelRead, degree_of_freedom};
 use crate::diagnostics::{counted, one_of};
@@ -15,9 +16,10 @@ use toml::Spanned;
 enum Kind {
     Ground,
     Force,
+    ForceField,
 }
 
-const KINDS: [(&str, Kind); 2] = [("ground", Kind::Ground), ("force", Kind::Force)];
+const KINDS: [(&str, Kind); 3] = [("ground", Kind::Ground), ("force", Kind::Force), ("force-field", Kind::ForceField)];
 
 /// What the excitations refer to.
 pub(super) struct Context<'c> {
@@ -34,8 +36,8 @@ pub(super) struct ExcitationRead {
     pub(super) name: Spanned<String>,
 }
 
-/// Reads every `[[excitation]]`.
-pub(super) fn read_excitations(file: &mut Section<'_>, context: &Context<'_>) -> Vec<ExcitationRead> {
+/// Reads every `[[excitation]]`; returns also how many are declared.
+pub(super) fn read_excitations(file: &mut Section<'_>, context: &Context<'_>) -> (usize, Vec<ExcitationRead>) {
     let sections = file.tables("excitation");
     if sections.is_empty() {
         file.require("excitation", "must declare what shakes the structure: [[excitation]]", None::<()>);
@@ -47,16 +49,23 @@ pub(super) fn read_excitations(file: &mut Section<'_>, context: &Context<'_>) ->
     if let Some(channels) = context.channels.filter(|_| read.len() == declared) {
         check_each_channel_is_used_once(file, channels, &read);
     }
-    read
+    (declared, read)
 }
 
 fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<ExcitationRead> {
     let name = section.required_name("name");
-    let kind = section.required_choice("kind", &KINDS);
-    let std = read_std(&mut section, context.rate_hz);
+    let kind = section.required_choice("kind", &KINDS).map(Spanned::into_inner);
     let adapts = section.flag_or("adapt", false);
+    if kind == Some(Kind::ForceField) {
+        let level = section.number_or("level", Allowed::DEVIATION, 1.0);
+        let field = read_force_field(&mut section, context.system);
+        section.finish();
+        let (name, action) = (name?, Action::ForceField(field?));
+        let excitation = Excitation { name: name.get_ref().clone(), action, std: level, measured: None, adapts };
+        return Some(ExcitationRead { excitation, name });
+    }
+    let std = read_std(&mut section, context.rate_hz);
     let measured_on = section.name("measured-on");
-    let kind = kind.map(Spanned::into_inner);
     let action = match kind {
         Some(Kind::Ground) => read_ground(&mut section, context.system),
         Some(Kind::Force) => {
@@ -65,8 +74,9 @@ fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<Ex
             dof.and_then(|dof| degree_of_freedom(&section, "dof", &dof, context.system))
                 .map(|degree_of_freedom| Action::Force { degree_of_freedom })
         }
-        None => {
+        Some(Kind::ForceField) | None => {
             section.leave_unread(&["dof", "influence", "direction"]);
+            section.leave_unread(&FIELD_KEYS);
             None
         }
     };
@@ -164,7 +174,7 @@ fn read_measured(
 ) -> Option<Measured> {
     let expected = match kind? {
         Kind::Ground => Quantity::GroundAcceleration,
-        Kind::Force => Quantity::Force,
+        Kind::Force | Kind::ForceField => Quantity::Force,
     };
     let named = channels.iter().position(|read| read.channel.name == *channel.get_ref());
     let measuring = named.map(|index| &channels[index].channel);

@@ -17,9 +17,21 @@ const INPUT_HOLDS: [(&str, InputHold); 2] = [("zero-order", InputHold::Zero), ("
 /// A shorter half-life forgets everything before it could tell anything.
 const LEAST_HALF_LIFE_STEPS: f64 = 10.0;
 
+/// What the filter follows besides the motion and the noise levels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Follows {
+    /// Parameters too.
+    Parameters,
+    /// Nothing: it is a linear filter for a linear structure.
+    MotionAlone,
+}
+
 /// Reads `[filter]`; a missing table is one without keys. `rate_hz` is the structure's.
-pub(super) fn read_filter(section: Option<Section<'_>>, rate_hz: Option<f64>) -> FilterPlan {
+pub(super) fn read_filter(section: Option<Section<'_>>, rate_hz: Option<f64>, follows: Follows) -> FilterPlan {
     let mut plan = FilterPlan::default();
+    if follows == Follows::MotionAlone {
+        plan.annealing.amount = 0.0; // a linear filter cannot lock in
+    }
     let Some(mut section) = section else { return plan };
     plan.half_life_s = read_half_life(&mut section, "half-life-s", rate_hz).unwrap_or(plan.half_life_s);
     if let Some(rule) = section.choice("noise-rule", &NOISE_RULES) {

@@ -121,7 +121,7 @@ fn read_channel(mut section: Section<'_>, system: Option<&LinearSystem>) -> Opti
 }
 
 /// Reads which degrees of freedom a channel senses; none if it measures an excitation.
-fn read_sensed(
+pub(super) fn read_sensed(
     section: &mut Section<'_>,
     quantity: Quantity,
     system: Option<&LinearSystem>,

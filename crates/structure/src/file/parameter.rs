@@ -50,9 +50,6 @@ pub(super) fn read_parameters(
 ) -> (usize, Vec<ParameterRead>) {
     let sections = file.tables("parameter");
     let declared = sections.len();
-    if sections.is_empty() {
-        file.require("parameter", "must declare what is uncertain: [[parameter]]", None::<()>);
-    }
     let mut read: Vec<ParameterRead> = Vec::new();
     for section in sections {
         if let Some(parameter) = read_parameter(section, system, damping, &read) {

@@ -1,8 +1,9 @@
 //! Reads `[simulation]`.
 
 use super::find_name;
+use crate::noise_level::NoiseLevel;
 use crate::section::{Allowed, Section};
-use crate::simulation_plan::{Damage, Modulation, SimulationPlan, SpikeKind};
+use crate::simulation_plan::{Damage, Fault, FaultKind, Modulation, SimulationPlan, SpikeKind};
 use toml::Spanned;
 
 /// Largest seed that a TOML integer holds.
@@ -10,10 +11,13 @@ const LARGEST_SEED: usize = i64::MAX as usize;
 
 const SPIKE_KINDS: [(&str, SpikeKind); 2] = [("added", SpikeKind::Added), ("replaced", SpikeKind::Replaced)];
 
+const FAULT_KINDS: [(&str, FaultKind); 2] = [("bias", FaultKind::Bias), ("silence", FaultKind::Silence)];
+
 /// What a simulation refers to; `None` where some could not be read.
 pub(super) struct Context<'c> {
     pub(super) parameters: Option<&'c [&'c str]>,
     pub(super) nodes: Option<&'c [&'c str]>,
+    pub(super) levels: Option<&'c [NoiseLevel]>,
 }
 
 /// Reads `[simulation]`; without it nothing happens to the structure.
@@ -41,6 +45,13 @@ pub(super) fn read_simulation(section: Option<Section<'_>>, context: &Context<'_
     if let Some(kind) = section.choice("spike-kind", &SPIKE_KINDS) {
         plan.spikes.kind = kind.into_inner();
     }
+    for (name, value) in section.entries("levels") {
+        let std = section.entry_number("levels", &name, value, Allowed::DEVIATION);
+        let index = context
+            .levels
+            .and_then(|levels| find_name(&section, "levels", &name, levels.iter().map(|level| level.name.as_str())));
+        plan.levels.extend(index.zip(std));
+    }
     for (node, value) in section.entries("clock-offsets-s") {
         let offset = section.entry_number("clock-offsets-s", &node, value, Allowed::ANY);
         let index =
@@ -49,8 +60,32 @@ pub(super) fn read_simulation(section: Option<Section<'_>>, context: &Context<'_
             plan.clock_offsets_s[index] = offset;
         }
     }
+    for fault in section.tables("fault") {
+        plan.faults.extend(read_fault(fault, context));
+    }
     section.finish();
     plan
+}
+
+fn read_fault(mut section: Section<'_>, context: &Context<'_>) -> Option<Fault> {
+    let node = section.required_name("node");
+    let kind = section.required_choice("kind", &FAULT_KINDS);
+    let from_s = section.number_or("from-s", Allowed::NOT_NEGATIVE, 0.0);
+    let until_s = section.number("until-s", Allowed::POSITIVE).map_or(f64::INFINITY, Spanned::into_inner);
+    let height = section.number("height", Allowed::ANY);
+    let kind = kind.map(Spanned::into_inner);
+    if let (Some(height), Some(FaultKind::Silence)) = (&height, kind) {
+        section.diagnostics().report(
+            height.span(),
+            section.key("height"),
+            "is given",
+            "must stand beside kind = \"bias\"",
+        );
+    }
+    let node = node.and_then(|name| find_name(&section, "node", &name, context.nodes?.iter().copied()));
+    section.finish();
+    let height = height.map_or(SimulationPlan::BIAS_HEIGHT, Spanned::into_inner);
+    Some(Fault { node: node?, kind: kind?, from_s, until_s, height })
 }
 
 fn read_modulation(mut section: Section<'_>) -> Option<Modulation> {

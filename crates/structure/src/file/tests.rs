@@ -50,6 +50,10 @@ fn every_example_is_read() {
         "dashpot-building",
         "high-rise",
         "tower",
+        "fifty-storeys",
+        "fifty-storeys-wind",
+        "sixty-storeys",
+        "corrupted-oscillator",
     ] {
         let path = examples().join(name).with_extension("toml");
         if let Err(error) = Structure::read(&path) {
@@ -214,7 +218,7 @@ fn missing_keys_are_reported_at_their_table() {
 #[test]
 fn missing_tables_are_reported() {
     let keys: Vec<String> = mistakes("").into_iter().map(|m| m.split(':').next().unwrap().to_owned()).collect();
-    assert_eq!(keys, ["structure", "model", "damping", "node", "excitation", "parameter"]);
+    assert_eq!(keys, ["structure", "model", "damping", "node", "excitation"]);
 }
 
 #[test]
@@ -561,4 +565,123 @@ fn recording_in_the_place_of_a_structure_is_told_in_one_line() {
     assert_eq!(told("monday.csv"), "monday.csv:1: syntax: is a recording, must be a structure file (TOML)");
     let lines = told("monday.toml").lines().count();
     assert!((2..=31).contains(&lines), "{lines} lines");
+}
+
+const GROUND: &str = include_str!("../../../../docs/examples/fifty-storeys.toml");
+const WIND: &str = include_str!("../../../../docs/examples/fifty-storeys-wind.toml");
+
+#[test]
+fn a_field_of_forces_is_the_published_wind() {
+    let structure = read(WIND).unwrap();
+    assert_eq!(structure.excitations()[0].component_len(), 50);
+    assert_eq!(structure.excitation_channels().len(), 50);
+    let (mean, pattern) = (structure.mean_excitation(), structure.excitation_pattern(0));
+    // Yuen, Liang & Kuok (2013), case 3: 27 718 N at the top; γ² exp(−|h_i − h_j|/H) F_i F_j with 7.5 m of 10 m between
+    assert!((mean[49] - 27_718.0).abs() < 0.5, "{}", mean[49]);
+    let expected = 0.04 * (-0.75_f64).exp() * mean[10] * mean[13];
+    assert!((pattern[(10, 13)] / expected - 1.0).abs() < 1e-12 && pattern[(13, 10)] == pattern[(10, 13)]);
+    let settings = structure.filter_settings().unwrap();
+    let wind = &settings.noise.parameters[0];
+    assert_eq!((wind.name.as_str(), &wind.pattern), ("wind", &pattern));
+    assert!((wind.start / 10.0 - 1.0).abs() < 1e-4, "{}", wind.start);
+}
+
+#[test]
+fn a_structure_under_mean_forces_begins_in_equilibrium() {
+    let structure = read(WIND).unwrap();
+    // statically determinate: the shear of the lowest storey is all the wind; 41.9 mm at the top in the source
+    let prior = structure.filter_settings().unwrap().prior_mean;
+    let shear = structure.mean_excitation().sum();
+    assert!((prior[0] * 652.9e6 / shear - 1.0).abs() < 1e-9, "{}", prior[0]);
+    assert!((prior[49] - 0.0419).abs() < 5e-5, "{}", prior[49]);
+    assert_eq!(structure.simulator(1).state(), prior.as_slice());
+}
+
+#[test]
+fn a_covariance_from_a_file_is_that_of_the_formula() {
+    let folder = tempfile::tempdir().unwrap();
+    let formula = read(WIND).unwrap().excitation_pattern(0);
+    let entries = formula.iter().map(|entry| format!("{entry:?}\n"));
+    let text = "%%MatrixMarket matrix array real general\n50 50\n".to_owned() + &entries.collect::<String>();
+    std::fs::write(folder.path().join("wind.mtx"), text).unwrap();
+    let with_file = WIND.replace("intensity = 0.2 ", "covariance = \"wind.mtx\" ").replace("correlation-length", "# ");
+    let structure = Structure::parse(&with_file, &folder.path().join("wind.toml")).unwrap();
+    assert!((structure.excitation_pattern(0) - &formula).amax() <= 1e-12 * formula.amax());
+}
+
+#[test]
+fn mistakes_of_a_field_of_forces_are_told() {
+    let found = |from: &str, to: &str| {
+        assert!(WIND.contains(from));
+        mistakes(&WIND.replacen(from, to, 1))
+    };
+    assert_eq!(
+        found("dofs = \"all\"", "dofs = \"some\""),
+        ["excitation.dofs: is \"some\", must be \"all\" or a list of degrees of freedom, each once"]
+    );
+    assert_eq!(found("dofs = \"all\"", "dofs = [1, 2]"), ["excitation.mean: has 50 entries, must have 2"]);
+    assert_eq!(
+        found("intensity = 0.2", "std = 1\nintensity = 0.2"),
+        [
+            "excitation.std: is given beside intensity, must give either std (of one sample of each force, N), intensity (a \
+          share of mean) or covariance"
+        ]
+    );
+    assert_eq!(
+        found("correlation-length = 4 ", "positions = [1, 2]\ncorrelation-length = 4 "),
+        ["excitation.positions: has 2 entries, must have 50, one per degree of freedom of dofs"]
+    );
+    assert_eq!(
+        found("level = 3.1623", "measured-on = \"floor-1\""),
+        [
+            "excitation.measured-on: is not a known key, must be one of name, kind, adapt, level, dofs, mean, covariance, std, \
+          intensity, correlation-length, positions"
+        ]
+    );
+}
+
+#[test]
+fn without_parameters_the_filter_neither_forgets_the_motion_nor_distrusts_the_start() {
+    let structure = read(GROUND).unwrap();
+    let settings = structure.filter_settings().unwrap();
+    assert_eq!((settings.fading.value(), settings.annealing), (1.0, None));
+    assert!((settings.noise_settings.fading - 2f64.powf(0.002)).abs() < 1e-15);
+    assert_eq!(structure.estimated_responses()[3].terms(), [(99, 1.0)], "velocity of floor 50");
+}
+
+#[test]
+fn what_needs_a_parameter_is_refused_without_one() {
+    assert_eq!(
+        mistakes(&(GROUND.to_owned() + "\n[[alert]]\nparameters = \"all\"\nloss = 0.1\n")),
+        ["alert: is given, must not be given without a [[parameter]]: an alert watches parameters"]
+    );
+    let damage = "\n[[simulation.damage]]\nparameter = \"storey-1\"\nat-s = 1\nloss = 0.1\n";
+    assert_eq!(
+        mistakes(&(GROUND.to_owned() + damage)),
+        ["simulation.damage.parameter: is \"storey-1\", none is declared"]
+    );
+    assert_eq!(
+        mistakes(&GROUND.replace("display-rate-hz", "identification = \"distributed\"\ndisplay-rate-hz")),
+        [
+            "structure.identification: is \"distributed\", must not be distributed without a [[parameter]]: parameters are what \
+          nodes find and share"
+        ]
+    );
+    assert!(!mistakes(&(GROUND.to_owned() + "\n[classes]\nkind = \"self-calibrating\"\n")).is_empty());
+}
+
+#[test]
+fn a_response_is_a_displacement_a_velocity_or_a_strain() {
+    let with = |quantity: &str| {
+        let response =
+            format!("[[response]]\nname = \"roof\"\nquantity = \"{quantity}\"\ndof = \"floor-5\"\n\n[filter]");
+        DEMO.replace("[filter]", &response)
+    };
+    assert_eq!(read(&with("velocity")).unwrap().estimated_responses()[0].terms(), [(9, 1.0)]);
+    assert_eq!(
+        mistakes(&with("force")),
+        ["response.quantity: is \"force\", must be one of \"displacement\", \"velocity\", \"strain\""]
+    );
+    let twice = with("displacement").replace("name = \"roof\"", "name = \"storey-1\"");
+    assert_eq!(mistakes(&twice), ["response.name: is \"storey-1\" once more, must be unique"]);
 }

@@ -50,21 +50,21 @@ struct Stages {
 }
 
 impl Motion {
-    /// Starts at rest with parameters `theta` (ratios to nominal).
+    /// Starts at `state` (2 N_d) with parameters `theta` (ratios to nominal).
     pub(super) fn new(
         mut model: StructureModel,
         theta: &[f64],
         step_s: f64,
         hold: InputHold,
         amplitude: Amplitude,
+        state: DVector<f64>,
     ) -> Self {
-        let physical = model.state_len() - model.parameter_len();
         let rule = if model.is_hysteretic() && amplitude == Amplitude::Any {
             Rule::RungeKutta(Stages::new(&mut model, theta, step_s))
         } else {
             exact(&mut model, theta, step_s, hold)
         };
-        Self { model, step_s, hold, rule, state: DVector::zeros(physical), next_state: DVector::zeros(physical) }
+        Self { model, step_s, hold, rule, next_state: state.clone(), state }
     }
 
     /// Returns `u` (2 N_d).
