@@ -1,6 +1,7 @@
 //! Distributed identification as the owner asks for it, turned into the settings of nodes and station.
 
 use crate::excitation::Action;
+use crate::model::StructureModel;
 use crate::node::Quantity;
 use crate::parameter::Scales;
 use crate::structure::Structure;
@@ -9,7 +10,6 @@ use spandrel_filter::fusion::{
     CovarianceScheme, FeedbackRule, FusionRule, Gaussian, GlobalDetector, LocalFilter, ModalBasis, MotionExchange,
     NodeSettings, Responses, Station, StationSettings, Weights,
 };
-use crate::model::StructureModel;
 use spandrel_filter::{ExtendedKalmanFilter, FilterError, FilterSettings};
 
 /// Means outside these make a node start anew: of stiffness, and of everything else. Huang & Yuen (2023), chapter 7, leaves

@@ -93,8 +93,10 @@ mod tests {
 
     #[test]
     fn a_slower_node_sees_the_same_white_noise() {
-        let text = include_str!("../../../docs/examples/demo.toml")
-            .replace("name = \"floor-3\"\n\n[[node.channel]]", "name = \"floor-3\"\nsampling-rate-hz = 50\n\n[[node.channel]]");
+        let text = include_str!("../../../docs/examples/demo.toml").replace(
+            "name = \"floor-3\"\n\n[[node.channel]]",
+            "name = \"floor-3\"\nsampling-rate-hz = 50\n\n[[node.channel]]",
+        );
         let structure = Structure::parse(&text, Path::new("slow.toml")).unwrap();
         let floor = structure.of_node("floor-3").unwrap();
         assert_eq!(floor.sampling_rate_hz(), 50.0);

@@ -82,7 +82,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// When a size is wrong or a number not finite. The filter is then as it was.
     pub fn replace_state(&mut self, mean: &DVector<f64>, covariance: &DMatrix<f64>) -> Result<(), FilterError> {
         let n = self.state.mean.len();
-        for (what, found, expected) in [("mean of state", mean.len(), n), ("covariance of state", covariance.len(), n * n)]
+        for (what, found, expected) in
+            [("mean of state", mean.len(), n), ("covariance of state", covariance.len(), n * n)]
         {
             if found != expected {
                 return Err(FilterError::Dimension { what, found, expected });

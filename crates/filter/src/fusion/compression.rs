@@ -365,7 +365,8 @@ mod tests {
                 informations.iter().zip(&truths).map(|(i, t)| (&gain * i * t * i * &gain).trace()).sum::<f64>()
             };
             let reference = error(Some(Weights::Matrix));
-            for (total, weights) in totals.iter_mut().zip([Some(Weights::Matrix), Some(Weights::Vector), Some(Weights::Scalar), None])
+            for (total, weights) in
+                totals.iter_mut().zip([Some(Weights::Matrix), Some(Weights::Vector), Some(Weights::Scalar), None])
             {
                 *total += error(weights) / reference / 200.0;
             }

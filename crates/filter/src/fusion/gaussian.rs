@@ -189,11 +189,9 @@ mod tests {
             mean: DVector::from_row_slice(&mean),
             covariance: DMatrix::from_row_slice(2, 2, &covariance),
         };
-        let (product, _) = product(&[
-            density([-0.6, -0.5], [8.3, -3.5, -3.5, 2.7]),
-            density([2.6, 2.0], [4.3, 4.3, 4.3, 6.7]),
-        ])
-        .unwrap();
+        let (product, _) =
+            product(&[density([-0.6, -0.5], [8.3, -3.5, -3.5, 2.7]), density([2.6, 2.0], [4.3, 4.3, 4.3, 6.7])])
+                .unwrap();
         let expected = [0.5186, -0.6710, 1.0980, 0.0642, 0.0642, 0.8144];
         let measured = product.mean.iter().chain(product.covariance.iter());
         for (measured, expected) in measured.zip(expected) {

@@ -293,10 +293,8 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         let mut taken = self.filter.restore(rewind.state).and_then(|()| self.take_at_once(feedback, sent));
         for (observations, excitation) in rewind.frames {
             if taken.is_ok() {
-                taken = self
-                    .filter
-                    .step(Frame { observations: &observations, excitation: &excitation })
-                    .map(|_step| ());
+                taken =
+                    self.filter.step(Frame { observations: &observations, excitation: &excitation }).map(|_step| ());
             }
         }
         if taken.is_err() {
@@ -317,7 +315,9 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
                 self.filter.replace_parameters(&target)?;
                 let others = nodes.iter().zip(&feedback.responses).enumerate();
                 for (_, (node, sent)) in others.filter(|(position, _)| *position != self.settings.position) {
-                    let Some(motion) = sent.as_ref().filter(|motion| motion.is_sound(node.rows().nrows())) else { continue };
+                    let Some(motion) = sent.as_ref().filter(|motion| motion.is_sound(node.rows().nrows())) else {
+                        continue;
+                    };
                     self.filter.observe_motion(node.rows(), &motion.mean, &motion.variance)?;
                 }
                 Ok(())

@@ -198,7 +198,8 @@ impl Station {
         let growth = self.settings.growth_per_period;
         let prior = &self.settings.prior;
         let known = self.known.get_mut(node).ok_or(Refusal::UnknownNode)?;
-        if message.parameters.mean.len() != parameters || message.parameters.covariance.shape() != (parameters, parameters)
+        if message.parameters.mean.len() != parameters
+            || message.parameters.covariance.shape() != (parameters, parameters)
         {
             return Err(Refusal::Dimension);
         }
@@ -381,7 +382,10 @@ impl Station {
             FusionRule::Published => 1.0,
             FusionRule::PriorCorrect(sharing) => sharing.factor(count),
         };
-        (count > 0).then(|| CompressedMotion { mean: weighted.component_div(&weights), variance: weights.map(|weight| factor / weight) })
+        (count > 0).then(|| CompressedMotion {
+            mean: weighted.component_div(&weights),
+            variance: weights.map(|weight| factor / weight),
+        })
     }
 
     fn answer(

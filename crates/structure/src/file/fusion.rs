@@ -65,8 +65,17 @@ pub(super) fn read_fusion(
             let allowed = "must not be there unless identification = \"distributed\" in [structure]";
             section.diagnostics().report(section.span(), "fusion", "is given", allowed);
             section.leave_unread(&[
-                "rate-hz", "rule", "sharing-factor", "feedback", "covariance", "motion", "modes", "detector", "screening",
-                "exclusion", "stale-periods",
+                "rate-hz",
+                "rule",
+                "sharing-factor",
+                "feedback",
+                "covariance",
+                "motion",
+                "modes",
+                "detector",
+                "screening",
+                "exclusion",
+                "stale-periods",
             ]);
             section.finish();
         }
@@ -155,7 +164,8 @@ fn check_rate(
                 Some(given) => (given.span(), section.key("rate-hz")),
                 None => (section.span(), "fusion.rate-hz".to_owned()),
             };
-            let allowed = format!("must be the sampling rate of each node, such as {rate_hz}, divided by a whole number");
+            let allowed =
+                format!("must be the sampling rate of each node, such as {rate_hz}, divided by a whole number");
             section.diagnostics().report(span, key, format!("is {fusion_rate_hz}"), allowed);
             return;
         }

@@ -174,7 +174,10 @@ fn independent_gains_make_the_centralised_filter_whatever_the_feedback_does() {
         let at_once = distance_from_centralised(feedback, |_, _| 0);
         let late = distance_from_centralised(feedback, |k, _| 1 + 2 * k as u64);
         let irregular =
-            distance_from_centralised(feedback, |k, step| if (step + k as u64).is_multiple_of(3) { u64::MAX } else { 2 });
+            distance_from_centralised(
+                feedback,
+                |k, step| if (step + k as u64).is_multiple_of(3) { u64::MAX } else { 2 },
+            );
         for (case, (mean, covariance)) in [("at once", at_once), ("late", late), ("irregular", irregular)] {
             assert!(mean < 1e-10 && covariance < 1e-10, "{feedback:?}, {case}: {mean:e}, {covariance:e}");
         }
