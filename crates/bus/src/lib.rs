@@ -60,8 +60,9 @@ pub use live::{LiveToken, LiveWatch};
 pub use message::{
     Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChannelState, ClassCalibration, ClassPlausibility,
     CredibleInterval, DecodeError, Description, EncodeError, Estimate, EstimateBlock, EstimateFlags, Event, EventKind,
-    FeedbackMessage, Format, FrameBlock, Header, LocalDensity, LocalMessage, MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan,
-    Message, ModelClassDisplay, MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, Progress,
+    FeedbackMessage, Format, FrameBlock, Header, LocalDensity, LocalMessage, MAX_CHANNELS, MAX_ITEMS,
+    MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message, ModelClassDisplay, MotionNumbers, NodeDisplay,
+    NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, Progress,
     SampleBlock, Status, StreamState,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};

@@ -6,8 +6,8 @@
 
 use crate::error::FuseError;
 use spandrel_bus::{
-    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FeedbackMessage, Header, LocalMessage, MotionNumbers, Name,
-    NodeDisplay, NodeHealth, Pace, ParameterDisplay, Phase, StreamState,
+    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FeedbackMessage, Header, LocalMessage, MotionNumbers,
+    Name, NodeDisplay, NodeHealth, Pace, ParameterDisplay, Phase, StreamState,
 };
 use spandrel_filter::fusion::{CompressedMotion, Fused, Gaussian, Lineage, LocalEstimate, Station};
 use spandrel_structure::Structure;
@@ -270,22 +270,22 @@ impl Fusion {
         }
         let index = message.header.sequence;
         if let Some(density) = message.density {
-            let lineage =
-                density.lineage.map(|lineage| Lineage { own: lineage.own, answers: lineage.answers });
+            let lineage = density.lineage.map(|lineage| Lineage { own: lineage.own, answers: lineage.answers });
             // checked when it was decoded; a hand-made message may still be none
             let Some(parameters) = Gaussian::from_triangle(&density.mean, &density.covariance) else {
                 *node.refused.entry("dimension").or_default() += 1;
                 return;
             };
-            let motion = density.motion.map(|numbers| CompressedMotion {
-                mean: numbers.mean.into(),
-                variance: numbers.variance.into(),
-            });
+            let motion = density
+                .motion
+                .map(|numbers| CompressedMotion { mean: numbers.mean.into(), variance: numbers.variance.into() });
             let at = match message.pace {
                 Pace::Replayed => index as f64,
                 Pace::Live => arrived_ns.saturating_sub(begun_ns).max(0) as f64 * 1e-9 * self.rate_hz,
             };
-            if let Err(refusal) = self.station.receive(position, LocalEstimate { index, parameters, lineage, motion }, at) {
+            if let Err(refusal) =
+                self.station.receive(position, LocalEstimate { index, parameters, lineage, motion }, at)
+            {
                 *node.refused.entry(refusal.as_str()).or_default() += 1;
                 return;
             }
@@ -356,8 +356,7 @@ impl Fusion {
             if report.heard {
                 let excluded = f64::from(u8::from(report.excluded));
                 node.excluded_share += (excluded - node.excluded_share) / SHARE_MEMORY;
-                node.excluded_since_ns =
-                    if report.excluded { node.excluded_since_ns.or(Some(time_ns)) } else { None };
+                node.excluded_since_ns = if report.excluded { node.excluded_since_ns.or(Some(time_ns)) } else { None };
             }
             let often = match node.often_excluded {
                 false => node.excluded_share > OFTEN,

@@ -3,9 +3,9 @@
 use crate::error::FuseError;
 use crate::fusion::{Fusion, Input, Output};
 use spandrel_bus::{
-    Bus, BusError, Description, DisplayPublisher, EstimateBlock, Event, FeedbackMessage, Keys, LatestPublisher, LiveToken,
-    LiveWatch, LocalMessage, Message, Name, NodeDisplay, NumberedPublisher, NumberedStream, ParameterDisplay,
-    ProgressPublisher, Service, Status, Subscription,
+    Bus, BusError, Description, DisplayPublisher, EstimateBlock, Event, FeedbackMessage, Keys, LatestPublisher,
+    LiveToken, LiveWatch, LocalMessage, Message, Name, NodeDisplay, NumberedPublisher, NumberedStream,
+    ParameterDisplay, ProgressPublisher, Service, Status, Subscription,
 };
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;

@@ -211,8 +211,7 @@ impl Running {
         for Watched { structure, keys, .. } in watched {
             if structure.fusion().is_some() {
                 for (position, _) in structure.nodes().iter().enumerate().filter(|(_, node)| wanted(node.name())) {
-                    let service =
-                        NodeService::start(structure, position, bus, keys, epoch_now(), pool.clone()).await?;
+                    let service = NodeService::start(structure, position, bus, keys, epoch_now(), pool.clone()).await?;
                     let stop = self.identify.stopped();
                     self.identify.tasks.spawn(async move { Ok(service.run(stop).await?) });
                 }

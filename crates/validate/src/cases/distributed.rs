@@ -79,10 +79,14 @@ pub(super) fn bridge(run: &Run<'_>) -> Result<Outcome, ValidateError> {
 fn variant(text: &str, rate_hz: f64, damages: [f64; 2], fusion: &str) -> String {
     let rate = text.lines().find(|line| line.starts_with("sampling-rate-hz")).unwrap_or_default();
     let (start, end) = (text.find("[fusion]").unwrap_or(0), text.find("[simulation]").unwrap_or(0));
-    let mut text = format!("{}[fusion]\nrate-hz = 1\ndetector = \"none\"\n{fusion}\n\n{}", &text[..start], &text[end..]);
+    let mut text =
+        format!("{}[fusion]\nrate-hz = 1\ndetector = \"none\"\n{fusion}\n\n{}", &text[..start], &text[end..]);
     text = text.replacen(rate, &format!("sampling-rate-hz = {rate_hz}"), 1);
-    text.replacen("at-s = 100", &format!("at-s = {}", damages[0]), 1)
-        .replacen("at-s = 200", &format!("at-s = {}", damages[1]), 1)
+    text.replacen("at-s = 100", &format!("at-s = {}", damages[0]), 1).replacen(
+        "at-s = 200",
+        &format!("at-s = {}", damages[1]),
+        1,
+    )
 }
 
 fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
@@ -123,8 +127,12 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
     let channels = scene.structure.nodes()[0].channels().len() as f64;
     let published_rate = example.full.0;
     figures.extend([
-        Figure::new("numbers in a message, published modes", sent as f64, Required::Within { of: example.traffic.1 as f64, by: 0.0 })
-            .published(example.traffic.1 as f64),
+        Figure::new(
+            "numbers in a message, published modes",
+            sent as f64,
+            Required::Within { of: example.traffic.1 as f64, by: 0.0 },
+        )
+        .published(example.traffic.1 as f64),
         Figure::new(
             "message over the raw samples that it replaces",
             sent as f64 / (channels * published_rate),
@@ -140,8 +148,16 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
         error_of.push(mean);
         let worst = errors.iter().copied().fold(0.0, f64::max);
-        figures.push(Figure::new(format!("{name}: rms error of stiffness, mean"), mean, judged(Required::AtMost(example.errors.0))));
-        figures.push(Figure::new(format!("{name}: rms error of stiffness, worst"), worst, judged(Required::AtMost(example.errors.1))));
+        figures.push(Figure::new(
+            format!("{name}: rms error of stiffness, mean"),
+            mean,
+            judged(Required::AtMost(example.errors.0)),
+        ));
+        figures.push(Figure::new(
+            format!("{name}: rms error of stiffness, worst"),
+            worst,
+            judged(Required::AtMost(example.errors.1)),
+        ));
         figures.push(Figure::new(
             format!("{name}: share of stiffnesses within 3 deviations, outside of 20 s after a damage"),
             coverage(&fused[..example.groups], &damages),
@@ -168,7 +184,11 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
     let centrally = centrally.sum::<f64>() / example.groups as f64;
     figures.extend([
         Figure::new("one filter with all samples: rms error of stiffness, mean", centrally, Required::Reported),
-        Figure::new("densities: error over that of one filter with all samples", error_of[0] / centrally, Required::Reported),
+        Figure::new(
+            "densities: error over that of one filter with all samples",
+            error_of[0] / centrally,
+            Required::Reported,
+        ),
         Figure::new(
             "densities and responses: error over that of one filter with all samples",
             error_of[1] / centrally,
@@ -181,10 +201,26 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
     for (group, _) in example.damaged {
         let name = scene.structure.parameters()[group].name();
         let last = scene.structure.nodes().len() - 1;
-        plots.push(by_marginal.local[last][group].plot(&format!("{name}, last node, before the station's answer"), "ratio to nominal", (0.6, 1.4)));
-        plots.push(by_marginal.courses[group].plot(&format!("{name}, fused densities"), "ratio to nominal", (0.85, 1.1)));
-        plots.push(with_responses.courses[group].plot(&format!("{name}, fused densities and responses"), "ratio to nominal", (0.85, 1.1)));
-        plots.push(central[group].plot(&format!("{name}, one filter with all samples"), "ratio to nominal", (0.85, 1.1)));
+        plots.push(by_marginal.local[last][group].plot(
+            &format!("{name}, last node, before the station's answer"),
+            "ratio to nominal",
+            (0.6, 1.4),
+        ));
+        plots.push(by_marginal.courses[group].plot(
+            &format!("{name}, fused densities"),
+            "ratio to nominal",
+            (0.85, 1.1),
+        ));
+        plots.push(with_responses.courses[group].plot(
+            &format!("{name}, fused densities and responses"),
+            "ratio to nominal",
+            (0.85, 1.1),
+        ));
+        plots.push(central[group].plot(
+            &format!("{name}, one filter with all samples"),
+            "ratio to nominal",
+            (0.85, 1.1),
+        ));
     }
     Ok(Outcome { figures, tables: Vec::new(), plots })
 }
@@ -218,14 +254,20 @@ fn centralised(scene: &Scene, shares: (f64, f64), run: &Run<'_>) -> Result<Vec<C
     let mut settings = scene.settings()?;
     settings.variance_bound.fill(f64::INFINITY);
     let period = (1.0 / scene.step_s).round() as usize;
-    scene.filter(settings, |frame| scene.data(frame), shares, run, |frame, filter, _| {
-        if (frame + 1) % period == 0 {
-            let density = filter.parameters();
-            let truth = scene.structure.true_parameters(frame as u64);
-            for (j, course) in courses.iter_mut().enumerate() {
-                course.take(scene.time_s(frame), density.mean[j], density.covariance[(j, j)], truth[j]);
+    scene.filter(
+        settings,
+        |frame| scene.data(frame),
+        shares,
+        run,
+        |frame, filter, _| {
+            if (frame + 1) % period == 0 {
+                let density = filter.parameters();
+                let truth = scene.structure.true_parameters(frame as u64);
+                for (j, course) in courses.iter_mut().enumerate() {
+                    course.take(scene.time_s(frame), density.mean[j], density.covariance[(j, j)], truth[j]);
+                }
             }
-        }
-    })?;
+        },
+    )?;
     Ok(courses)
 }
