@@ -210,11 +210,13 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let printed = track(5.0e-6, 70.0, [30.0, 50.0], (0.8, 1.0), run)?;
         for (j, name) in NAMES.into_iter().enumerate() {
             let course = &printed.courses[j];
-            // stiffness is as good as with the larger intensity; of the constants of yielding little is learnt
+            // stiffness is as good as with the larger intensity, with deviations of 0.002 to 0.006 ± 30 %; of the constants of
+            // yielding little is learnt
+            let deviation = Required::Between { low: 0.7 * 0.002, high: 1.3 * 0.006 };
             let (required, of_std) = match j {
-                0 => (Required::Within { of: 0.901, by: within }, Required::AtMost(0.006)),
-                1 => (Required::Within { of: 0.954, by: within }, Required::AtMost(0.006)),
-                _ if j < GROUPS => (Required::Within { of: 1.0, by: within }, Required::AtMost(0.006)),
+                0 => (Required::Within { of: 0.901, by: within }, deviation),
+                1 => (Required::Within { of: 0.954, by: within }, deviation),
+                _ if j < GROUPS => (Required::Within { of: 1.0, by: within }, deviation),
                 _ => (Required::Reported, Required::Reported),
             };
             figures.extend([

@@ -26,8 +26,47 @@ pub(super) fn svg(plot: &Plot) -> Result<String, ValidateError> {
     let mut text = String::new();
     draw(plot, &mut text)
         .map_err(|error| ValidateError::Drawing { title: plot.title.clone(), reason: error.to_string() })?;
-    // each dash of a dashed series would be an element of its own, the larger part of the file
-    Ok(text.replace(BOUND_STROKES[0], BOUND_STROKES[1]))
+    // each dash of a dashed series, and each point, would be an element of its own, the larger part of the file
+    Ok(joined_points(&text).replace(BOUND_STROKES[0], BOUND_STROKES[1]))
+}
+
+/// Joins points of one colour that follow each other to one path of dots.
+fn joined_points(text: &str) -> String {
+    let circle = |line: &str| -> Option<(String, String)> {
+        let rest = line.strip_prefix("<circle cx=\"")?;
+        let (x, rest) = rest.split_once("\" cy=\"")?;
+        let (y, rest) = rest.split_once('"')?;
+        let (_, rest) = rest.split_once("fill=\"")?;
+        let (colour, _) = rest.split_once('"')?;
+        Some((format!("M{x} {y}h0"), colour.to_owned()))
+    };
+    let mut joined = String::new();
+    let mut open: Option<String> = None;
+    for line in text.lines() {
+        let found = circle(line);
+        let colour = found.as_ref().map(|(_, colour)| colour);
+        if open.as_ref() != colour {
+            if open.is_some() {
+                joined.push_str("\"/>\n");
+            }
+            if let Some(colour) = colour {
+                let begin = "<path fill=\"none\" stroke-width=\"2\" stroke-linecap=\"round\" stroke=\"";
+                joined.push_str(&format!("{begin}{colour}\" d=\""));
+            }
+        }
+        match found {
+            Some((dot, colour)) => {
+                joined.push_str(&dot);
+                open = Some(colour);
+            }
+            None => {
+                joined.push_str(line);
+                joined.push('\n');
+                open = None;
+            }
+        }
+    }
+    joined
 }
 
 fn draw(plot: &Plot, text: &mut String) -> Result<(), Box<dyn std::error::Error>> {
@@ -47,7 +86,11 @@ fn draw(plot: &Plot, text: &mut String) -> Result<(), Box<dyn std::error::Error>
         .y_desc(&plot.ordinate)
         .max_light_lines(0)
         .bold_line_style(RGBColor(228, 228, 228))
-        .y_label_formatter(&|value| crate::figure::number(f64::from(*value)))
+        // a tick at zero may be a rounding error beside it
+        .y_label_formatter(&|value| match value.abs() < 1e-6 * (high - low) {
+            true => "0".to_owned(),
+            false => crate::figure::number(f64::from(*value)),
+        })
         .draw()?;
     let (width, height) = chart.plotting_area().dim_in_pixel();
     let scale = (width as f32 / (right - left), height as f32 / (high - low));
@@ -120,8 +163,9 @@ mod tests {
             Series::new("points", SeriesKind::Points, curve(&|i| 0.3 * noise(i)).into_iter().step_by(200).collect()),
         ];
         let text = svg(&Plot::over_time("long curves", "value", series)).unwrap();
-        assert!(text.len() < 70_000, "{} bytes", text.len());
+        assert!(text.len() < 40_000, "{} bytes", text.len());
         assert_eq!(text.matches("stroke-dasharray").count(), 2, "the bound, and its line in the legend");
-        assert!(text.matches("<circle").count() > 100);
+        assert_eq!(text.matches("<path").count(), 1, "all points together");
+        assert!(text.matches("h0").count() > 100 && !text.contains("<circle"));
     }
 }
