@@ -67,7 +67,6 @@ struct Stream {
     epoch: u64,
     /// time of the last sample, ns
     last_ns: i64,
-    pace: Pace,
     /// the message that has to be answered before replayed samples go on
     awaits: Option<u64>,
 }
@@ -205,8 +204,8 @@ impl NodeIdentification {
                 outputs.push(self.event(time_ns, EventKind::Restart, "motion forgotten, parameters kept", why));
             }
             let step_ns = (1e9 / self.rate_hz) as i64;
-            let (epoch, pace) = (block.header.epoch, block.pace);
-            self.stream = Some(Stream { epoch, last_ns: time_ns - step_ns, pace, awaits: None });
+            let epoch = block.header.epoch;
+            self.stream = Some(Stream { epoch, last_ns: time_ns - step_ns, awaits: None });
             return true;
         };
         if block.samples.is_empty() {

@@ -144,7 +144,7 @@ fn distance_from_centralised(feedback: FeedbackRule, lag: impl Fn(usize, u64) ->
             }
             *due > step
         });
-        if (step + 1) % PERIOD == 0 {
+        if (step + 1).is_multiple_of(PERIOD) {
             let period = ((step + 1) / PERIOD) as f64;
             for (k, node) in nodes.iter_mut().enumerate() {
                 station.receive(k, node.report(), period).unwrap();
@@ -277,11 +277,11 @@ fn a_message_after_a_lost_one_counts_no_information_twice() {
         for (k, node) in nodes.iter_mut().enumerate() {
             node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
         }
-        if (step + 1) % PERIOD == 0 {
+        if (step + 1).is_multiple_of(PERIOD) {
             let period = (step + 1) / PERIOD;
             for (k, node) in nodes.iter_mut().enumerate() {
                 let report = node.report();
-                if k == 0 || period % 2 == 0 {
+                if k == 0 || period.is_multiple_of(2) {
                     station.receive(k, report, period as f64).unwrap();
                 }
             }
