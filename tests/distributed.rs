@@ -1,0 +1,135 @@
+//! Nodes that identify for themselves and a station that fuses them, as separate processes over Zenoh.
+//!
+//! The building of `spandrel demo --distributed`: forty storeys, sixteen nodes, one of them wrong all the time, one silent for a
+//! while.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+mod support;
+
+use spandrel_bus::{
+    AlertMessage, AlertState, Event, EventKind, LocalMessage, NodeDisplay, NodeHealth, Service,
+};
+use std::collections::BTreeMap;
+use std::path::Path;
+use support::{EstimateReader, Process, Site, assert_same_bits, spandrel, within};
+
+fn demo(pairs: &[(&str, &str)]) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo-distributed.toml");
+    let mut text = std::fs::read_to_string(path).unwrap();
+    for (old, new) in pairs {
+        assert!(text.contains(old), "the example has no {old:?}");
+        text = text.replacen(old, new, 1);
+    }
+    text
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nodes_in_three_processes_and_a_station_give_the_numbers_of_a_record() {
+    let site = Site::with(&demo(&[]));
+    let record = site.simulate(12.0);
+    // the station, then half of the nodes each; one more process alerts
+    let station = Process::start(&mut site.listening("fuse"));
+    station.wait_for_log("ready structures=1");
+    let names: Vec<String> = site.structure().nodes().iter().map(|node| node.name().to_owned()).collect();
+    let halves: Vec<Process> = names
+        .chunks(8)
+        .map(|half| {
+            let mut command = site.connecting("identify");
+            half.iter().for_each(|name| drop(command.args(["--node", name])));
+            let process = Process::start(&mut command);
+            process.wait_for_log("ready structures=1");
+            process
+        })
+        .collect();
+    let alert = Process::start(&mut site.connecting("alert"));
+    alert.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    let mut reader = EstimateReader::join(&bus, &site.keys()).await;
+    let local = bus.subscribe::<LocalMessage>(site.keys().all_local(), 1 << 12).await.unwrap();
+    site.replay(&record, "max").wait().expect_code(0);
+    let streamed = reader.read_to_end(1).await;
+    let offline = site.estimate(&record);
+    assert_eq!(offline.frames.len(), 12);
+    assert_same_bits("nodes and station", &offline.parameters, &offline.frames, streamed);
+    // a last message of each node says that its samples have ended
+    assert_eq!(local.messages().drain().count(), 16 * 13);
+    for process in halves.into_iter().chain([alert, station]) {
+        process.stop().expect_code(0);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_wrong_node_is_left_out_a_silent_one_missed_and_the_damaged_storey_named() {
+    for seed in ["1", "2", "3"] {
+        let site = Site::with(&demo(&[("seed = 1\n", &format!("seed = {seed}\n"))]));
+        let record = site.simulate(110.0);
+        let _services = site.run();
+        let bus = site.join().await;
+        let mut tokens = bus.watch_live(site.keys().all_live(Service::Fuse)).await.unwrap();
+        within("token of fuse", tokens.some()).await;
+        let nodes = bus.subscribe::<NodeDisplay>(site.keys().all_nodes(), 1 << 14).await.unwrap();
+        let alerts = bus.subscribe::<AlertMessage>(site.keys().all_alerts(), 1 << 10).await.unwrap();
+        let events = bus.subscribe::<Event>(site.keys().event(), 1 << 10).await.unwrap();
+        let local = bus.subscribe::<LocalMessage>(site.keys().all_local(), 1 << 14).await.unwrap();
+        let mut reader = EstimateReader::join(&bus, &site.keys()).await;
+        site.replay(&record, "max").wait().expect_code(0);
+        reader.read_to_end(1).await;
+
+        let time_s = |time_ns: i64| (time_ns - record.time_ns(0)) as f64 * 1e-9;
+        let mut excluded: BTreeMap<String, (usize, usize)> = BTreeMap::new();
+        let mut silent = 0;
+        for (_, node) in nodes.messages().drain() {
+            let (left_out, all) = excluded.entry(node.node.to_string()).or_default();
+            *left_out += usize::from(node.state == NodeHealth::Excluded);
+            *all += 1;
+            let quiet = node.node.as_str() == "floor-8" && (33.0..44.0).contains(&time_s(node.time_ns));
+            silent += usize::from(quiet && node.state == NodeHealth::Silent);
+        }
+        let share = |name: &str| excluded[name].0 as f64 / excluded[name].1 as f64;
+        let healthy = excluded.keys().filter(|name| *name != "floor-20").map(|name| share(name)).fold(0.0, f64::max);
+        println!("seed {seed}: floor-20 left out in {:.2}, a healthy node in at most {healthy:.3}, silent {silent}", share("floor-20"));
+        assert!(share("floor-20") > 0.5, "seed {seed}: {}", share("floor-20"));
+        assert!(healthy < 0.1, "seed {seed}: {healthy}");
+        let told: Vec<Event> = events.messages().drain().map(|(_, event)| event).collect();
+        let is_told = told.iter().any(|event| event.kind == EventKind::NodeExcluded && event.subject == "floor-20");
+        assert!(is_told, "seed {seed}: no event names the wrong node");
+        let raised: Vec<String> = alerts
+            .messages()
+            .drain()
+            .filter(|(_, alert)| alert.state == AlertState::Raised)
+            .map(|(_, alert)| alert.parameter.to_string())
+            .collect();
+        println!("seed {seed}: raised {raised:?}");
+        assert_eq!(raised, ["storey-1"], "seed {seed}");
+        // every number that was said is one
+        for (_, message) in local.messages().drain() {
+            assert!(message.density.iter().all(|density| density.mean.iter().all(|mean| mean.is_finite())));
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_distributed_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |subcommand: &str, text: &str, more: &[&str]| {
+        let path = folder.path().join("structure.toml");
+        std::fs::write(&path, text).unwrap();
+        Process::start(spandrel(subcommand).arg(&path).args(more)).wait()
+    };
+    let centralised = demo(&[("identification = \"distributed\"\n", "")]);
+    run("check", &centralised, &[]).expect_code(2).expect_told(&["fusion", "identification = \"distributed\""]);
+    let endpoint = support::free_endpoint();
+    run("identify", &demo(&[]), &["--node", "floor-7", "--listen", &endpoint])
+        .expect_code(2)
+        .expect_told(&["floor-7", "floor-8"]);
+    run("check", &demo(&[("rate-hz = 1\n", "rate-hz = 3\n")]), &[]).expect_code(2).expect_told(&["fusion.rate-hz", "50"]);
+    run("check", &demo(&[("feedback = \"federated\"", "feedback = \"reset\"")]), &[])
+        .expect_code(2)
+        .expect_told(&["fusion.feedback", "motion = \"modes\""]);
+    run("check", &demo(&[("rate-hz = 1\n", "rate-hz = 1\nsharing-factor = 0.5\n")]), &[])
+        .expect_code(2)
+        .expect_told(&["fusion.sharing-factor", "from 1"]);
+    let five = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml")).unwrap();
+    run("fuse", &five, &["--listen", &endpoint]).expect_code(2).expect_told(&["nothing to fuse"]);
+}
