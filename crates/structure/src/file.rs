@@ -124,6 +124,10 @@ impl<'t> StructureFile<'t> {
         let node_names = (!nodes.incomplete).then_some(&node_names[..]);
         let parameter_spans = parameters.iter().map(|read| read.name.clone());
         let responses = response::read_responses(&mut file, system, parameter_spans);
+        if let Some(distributed) = head.distributed.as_ref().filter(|is| *is.get_ref() && !responses.is_empty()) {
+            let allowed = "must not be distributed beside [[response]]: a station follows parameters, not the motion";
+            diagnostics.report(distributed.span(), "structure.identification", "is \"distributed\"", allowed);
+        }
         let band_limit = filter::read_band_limit(file.table("band-limit"), head.rate_hz);
         let ingest = filter::read_ingest(file.table("ingest"), head.rate_hz);
         let alert_rules = alert::read_alerts(&mut file, parameter_names);

@@ -210,7 +210,7 @@ impl Structure {
     #[must_use]
     pub fn noise_unit(&self, level: &NoiseLevel) -> &'static str {
         match level.source() {
-            NoiseSource::Excitation(component) => self.excitations.get(*component).map_or("", Excitation::unit),
+            NoiseSource::Excitation(index) => self.excitations.get(*index).map_or("", Excitation::unit),
             NoiseSource::Sensors(rows) => {
                 let channel = rows.first().and_then(|row| self.observations().nth(*row));
                 channel.map_or("", |channel| channel.quantity().unit())

@@ -268,13 +268,12 @@ fn follow_sixty_storeys(seed: u64, seconds: f64) -> Followed {
     followed
 }
 
-/// Huang & Yuen (2023), §2.3.2, as recomputed: relative errors of the displacement of at most 0.5 %, errors of the velocity
-/// of 2.1 to 2.8·10⁻⁴ m/s everywhere, 99.5 % of the states inside their intervals, a mean innovation χ²/7 of 1.00 ± 0.02.
+/// Huang & Yuen (2023), §2.3.2, as recomputed, whatever the record: errors of the velocity of 2.1 to 2.8·10⁻⁴ m/s everywhere,
+/// 99.5 % of the states inside their intervals, a mean innovation χ²/7 of 1.00 ± 0.02.
 #[track_caller]
 fn assert_follows(followed: &Followed) {
-    assert!(followed.relative_displacement <= 0.005, "{}", followed.relative_displacement);
     let (low, high) = followed.velocity;
-    assert!(low >= 2.05e-4 && high < 2.85e-4, "{low:e} to {high:e} m/s");
+    assert!(low >= 2.05e-4 && high < 2.85e-4, "{low:e} to {high:e} m/s"); // as far as the digits go
     assert!(followed.inside >= 0.995, "{}", followed.inside);
     assert!((followed.misfit - 1.0).abs() <= 0.02, "{}", followed.misfit);
 }
@@ -286,13 +285,16 @@ fn motion_of_the_sixty_storeys_is_followed_from_seven_sensors() {
     }
 }
 
-/// The relative error of the velocity, at most 10 % on the lowest floor, is one over the motion of 200 s.
+/// Relative errors, of at most 0.5 % in displacement and 10 % in velocity, are over the motion of 200 s from rest: the first
+/// mode, with a period of 6 s and 1 % of damping, hardly moves at first.
 #[test]
 #[ignore = "takes minutes: the published length"]
 fn motion_of_the_sixty_storeys_is_followed_over_the_published_length() {
     for seed in SEEDS {
         let followed = follow_sixty_storeys(seed, 200.0);
         assert_follows(&followed);
-        assert!(followed.relative_velocity <= 0.1, "seed {seed}: {}", followed.relative_velocity);
+        let Followed { relative_displacement, relative_velocity, .. } = followed;
+        assert!(relative_displacement <= 0.005, "seed {seed}: {relative_displacement}");
+        assert!(relative_velocity <= 0.1, "seed {seed}: {relative_velocity}");
     }
 }
