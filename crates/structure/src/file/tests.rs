@@ -663,10 +663,10 @@ fn what_needs_a_parameter_is_refused_without_one() {
     assert_eq!(
         mistakes(&GROUND.replace("display-rate-hz", "identification = \"distributed\"\ndisplay-rate-hz")),
         [
-            "structure.identification: is \"distributed\", must not be distributed beside [[response]]: a station follows \
-          parameters, not the motion",
             "structure.identification: is \"distributed\", must not be distributed without a [[parameter]]: parameters are what \
-          nodes find and share"
+          nodes find and share",
+            "structure.identification: is \"distributed\", must not be distributed beside [[response]]: a station follows \
+          parameters, not the motion"
         ]
     );
     assert!(!mistakes(&(GROUND.to_owned() + "\n[classes]\nkind = \"self-calibrating\"\n")).is_empty());
