@@ -7,9 +7,7 @@
 
 mod support;
 
-use spandrel_bus::{
-    AlertMessage, AlertState, Event, EventKind, LocalMessage, NodeDisplay, NodeHealth, Service,
-};
+use spandrel_bus::{AlertMessage, AlertState, Event, EventKind, LocalMessage, NodeDisplay, NodeHealth, Service};
 use std::collections::BTreeMap;
 use std::path::Path;
 use support::{EstimateReader, Process, Site, assert_same_bits, spandrel, within};
@@ -88,7 +86,10 @@ async fn a_wrong_node_is_left_out_a_silent_one_missed_and_the_damaged_storey_nam
         }
         let share = |name: &str| excluded[name].0 as f64 / excluded[name].1 as f64;
         let healthy = excluded.keys().filter(|name| *name != "floor-20").map(|name| share(name)).fold(0.0, f64::max);
-        println!("seed {seed}: floor-20 left out in {:.2}, a healthy node in at most {healthy:.3}, silent {silent}", share("floor-20"));
+        println!(
+            "seed {seed}: floor-20 left out in {:.2}, a healthy node in at most {healthy:.3}, silent {silent}",
+            share("floor-20")
+        );
         assert!(share("floor-20") > 0.5, "seed {seed}: {}", share("floor-20"));
         assert!(healthy < 0.1, "seed {seed}: {healthy}");
         let told: Vec<Event> = events.messages().drain().map(|(_, event)| event).collect();
@@ -123,13 +124,16 @@ fn what_cannot_be_distributed_is_told() {
     run("identify", &demo(&[]), &["--node", "floor-7", "--listen", &endpoint])
         .expect_code(2)
         .expect_told(&["floor-7", "floor-8"]);
-    run("check", &demo(&[("rate-hz = 1\n", "rate-hz = 3\n")]), &[]).expect_code(2).expect_told(&["fusion.rate-hz", "50"]);
+    run("check", &demo(&[("rate-hz = 1\n", "rate-hz = 3\n")]), &[])
+        .expect_code(2)
+        .expect_told(&["fusion.rate-hz", "50"]);
     run("check", &demo(&[("feedback = \"federated\"", "feedback = \"reset\"")]), &[])
         .expect_code(2)
         .expect_told(&["fusion.feedback", "motion = \"modes\""]);
     run("check", &demo(&[("rate-hz = 1\n", "rate-hz = 1\nsharing-factor = 0.5\n")]), &[])
         .expect_code(2)
         .expect_told(&["fusion.sharing-factor", "from 1"]);
-    let five = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml")).unwrap();
+    let five =
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml")).unwrap();
     run("fuse", &five, &["--listen", &endpoint]).expect_code(2).expect_told(&["nothing to fuse"]);
 }
