@@ -164,8 +164,12 @@ mod tests {
 
     static RUNS: AtomicUsize = AtomicUsize::new(0);
 
-    fn seed_as_figure(run: &Run<'_>) -> Result<Outcome, ValidateError> {
+    fn counted(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         RUNS.fetch_add(1, Ordering::Relaxed);
+        seed_as_figure(run)
+    }
+
+    fn seed_as_figure(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let figure = Figure::new("seed", run.seed as f64, Required::AtMost(2.0));
         Ok(Outcome { figures: vec![figure], ..Outcome::default() })
     }
@@ -174,8 +178,9 @@ mod tests {
         Err(ValidateError::Stopped)
     }
 
-    static COUNTED: Case =
-        Case { name: "test.counted", title: "seeds", source: "here", weight: 1.0, run: seed_as_figure };
+    /// Its runs are counted, so one test alone has it.
+    static COUNTED: Case = Case { name: "test.counted", title: "seeds", source: "here", weight: 1.0, run: counted };
+    static PLAIN: Case = Case { name: "test.plain", title: "seeds", source: "here", weight: 1.0, run: seed_as_figure };
     static FAILED: Case =
         Case { name: "test.failed", title: "nothing", source: "here", weight: 2.0, run: without_result };
 
@@ -203,7 +208,7 @@ mod tests {
         let first = plan(vehicle, "a").run(&Quiet).unwrap();
         assert!(first.others.is_empty());
         for (mark, program) in [("a", Program::This), ("b", Program::Another)] {
-            let second = plan(&COUNTED, mark).run(&Quiet).unwrap();
+            let second = plan(&PLAIN, mark).run(&Quiet).unwrap();
             assert_eq!(second.others.len(), 1);
             let kept = &second.others[0];
             assert_eq!((kept.name, &kept.seeds, kept.program), ("kalman.vehicle", &vec![1, 2], program));
@@ -212,15 +217,15 @@ mod tests {
         }
         assert_eq!(std::fs::read_to_string(directory.path().join(".gitignore")).unwrap(), "*\n");
         let pages = tempfile::tempdir().unwrap();
-        plan(&COUNTED, "a").run(&Quiet).unwrap().write(pages.path()).unwrap();
+        plan(&PLAIN, "a").run(&Quiet).unwrap().write(pages.path()).unwrap();
         let page = std::fs::read_to_string(pages.path().join("figures.md")).unwrap();
-        assert!(page.contains("`kalman.vehicle`") && page.contains("`test.counted`"), "{page}");
+        assert!(page.contains("`kalman.vehicle`") && page.contains("`test.plain`"), "{page}");
         assert!(page.contains("No outcome is kept of") && page.contains("`ekf.tower`"), "{page}");
     }
 
     #[test]
     fn a_case_without_result_fails_and_the_others_go_on() {
-        let report = Plan::new(vec![&FAILED, &COUNTED], vec![1, 2, 3], Length::Full).threads(2).run(&Quiet).unwrap();
+        let report = Plan::new(vec![&FAILED, &PLAIN], vec![1, 2, 3], Length::Full).threads(2).run(&Quiet).unwrap();
         assert!(!report.passed());
         assert_eq!(report.cases[0].failures.len(), 3);
         assert_eq!(report.cases[1].figures[0].measured, [Some(1.0), Some(2.0), Some(3.0)]);

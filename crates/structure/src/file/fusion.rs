@@ -50,6 +50,9 @@ const DETECTORS: [(&str, Detector); 3] =
 /// Fusions per second unless the file says otherwise.
 const RATE_HZ: f64 = 1.0;
 
+/// Stricter than the source: nodes that share what they know differ a little more than independent ones.
+const DETECTOR: GlobalDetector = GlobalDetector { screening: 0.999, exclusion: 0.5, one_at_a_time: true };
+
 /// Periods after which a message is too old: Huang & Yuen (2023), chapter 7.
 const STALE_PERIODS: f64 = 3.0;
 
@@ -91,7 +94,7 @@ pub(super) fn read_fusion(
         feedback: FeedbackRule::default(),
         covariance: CovarianceScheme::Full,
         motion: MotionPlan::None,
-        detector: Some(GlobalDetector::default()),
+        detector: Some(DETECTOR),
         stale_periods: STALE_PERIODS,
     };
     let Some(mut section) = section else {
@@ -135,11 +138,10 @@ pub(super) fn read_fusion(
         let allowed = "must stand beside motion = \"modes\", from which the motion is set anew";
         section.diagnostics().report(feedback.span(), section.key("feedback"), "is \"reset\"", allowed);
     }
-    let detector = section.choice("detector", &DETECTORS).map_or(Detector::AllAtOnce, Spanned::into_inner);
-    let default = GlobalDetector::default();
+    let detector = section.choice("detector", &DETECTORS).map_or(Detector::OneAtATime, Spanned::into_inner);
     let found = GlobalDetector {
-        screening: section.number_or("screening", Allowed::INSIDE_UNIT, default.screening),
-        exclusion: section.number_or("exclusion", Allowed::INSIDE_UNIT, default.exclusion),
+        screening: section.number_or("screening", Allowed::INSIDE_UNIT, DETECTOR.screening),
+        exclusion: section.number_or("exclusion", Allowed::INSIDE_UNIT, DETECTOR.exclusion),
         one_at_a_time: detector == Detector::OneAtATime,
     };
     plan.detector = (detector != Detector::None).then_some(found);
