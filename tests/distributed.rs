@@ -34,7 +34,9 @@ async fn nodes_in_three_processes_and_a_station_give_the_numbers_of_a_record() {
         .chunks(8)
         .map(|half| {
             let mut command = site.connecting("identify");
-            half.iter().for_each(|name| drop(command.args(["--node", name])));
+            for name in half {
+                command.args(["--node", name]);
+            }
             let process = Process::start(&mut command);
             process.wait_for_log("ready structures=1");
             process

@@ -163,8 +163,8 @@ impl Fusion {
                     let periods = self.periods(now_ns);
                     self.fuse(periods, now_ns, outputs);
                     // a station that was held up goes on with the next period of its clock
-                    let due = |periods: f64| self.begun_ns.map(|begun| begun + (periods / self.rate_hz * 1e9) as i64);
-                    self.due_ns = due(periods.floor() + 1.0);
+                    let next_s = (periods.floor() + 1.0) / self.rate_hz;
+                    self.due_ns = self.begun_ns.map(|begun_ns| begun_ns + (next_s * 1e9) as i64);
                 }
             }
         }
