@@ -92,6 +92,8 @@ pub struct Fusion {
     begun_ns: Option<i64>,
     due_ns: Option<i64>,
     done: u64,
+    /// earliest period of replaying nodes that is not yet fused; `None` after the last that can be counted
+    next_index: Option<u64>,
     last_ns: Option<i64>,
     ended: bool,
     /// nodes were used in the last fusion
@@ -143,6 +145,7 @@ impl Fusion {
             begun_ns: None,
             due_ns: None,
             done: 0,
+            next_index: Some(1),
             last_ns: None,
             ended: false,
             healthy: true,
@@ -168,8 +171,8 @@ impl Fusion {
                 }
             }
         }
-        while self.is_complete() {
-            let index = self.done + 1;
+        while let Some(index) = self.complete_index() {
+            self.next_index = index.checked_add(1);
             let times = self.nodes.iter().filter_map(|node| node.last.filter(|(at, _)| *at >= index));
             let time_ns = times.map(|(_, time_ns)| time_ns).max().unwrap_or(0);
             self.fuse(index as f64, time_ns, outputs);
@@ -204,13 +207,6 @@ impl Fusion {
         self.nodes.iter().map(|node| &node.name)
     }
 
-    /// Counts a message of a node that could not be read.
-    pub fn refuse(&mut self, node: usize, reason: &'static str) {
-        if let Some(node) = self.nodes.get_mut(node) {
-            *node.refused.entry(reason).or_default() += 1;
-        }
-    }
-
     /// Adds to the bytes sent to a node.
     pub fn count_sent(&mut self, node: usize, bytes: u64) {
         if let Some(node) = self.nodes.get_mut(node) {
@@ -237,16 +233,19 @@ impl Fusion {
         !self.nodes.iter().any(|node| node.heard_ever && node.pace == Pace::Replayed)
     }
 
-    /// Tells whether all replaying nodes that are there have sent their estimate of the coming fusion, or a later one.
-    fn is_complete(&self) -> bool {
+    /// Returns the period that all replaying nodes that are there have reached, if it is a new one.
+    ///
+    /// It is the earliest that any of them has sent: a station that comes late begins where they are, and a jump of their counts
+    /// is one fusion.
+    fn complete_index(&self) -> Option<u64> {
         if self.is_live() {
-            return false;
+            return None;
         }
-        let index = self.done + 1;
-        let has = |node: &Node| node.last.is_some_and(|(at, _)| at >= index);
+        let next = self.next_index?;
+        let reached = |node: &Node| node.last.map(|(index, _)| index).filter(|index| *index >= next);
         let waited_for = |node: &&Node| !node.ended && (node.present || !node.heard_ever);
-        self.nodes.iter().any(|node| has(node) && !node.ended || has(node))
-            && self.nodes.iter().filter(waited_for).all(has)
+        let all_are_there = self.nodes.iter().filter(waited_for).all(|node| reached(node).is_some());
+        self.nodes.iter().filter_map(reached).min().filter(|_| all_are_there)
     }
 
     fn take(&mut self, position: usize, message: LocalMessage, bytes: u64, arrived_ns: i64) {

@@ -13,7 +13,12 @@ fn structure() -> Structure {
 fn message(epoch: u64, index: u64, pace: Pace, mean: f64) -> LocalMessage {
     let covariance = (0..10).flat_map(|j| (0..=j).map(move |i| if i == j { 0.008 } else { 0.0 })).collect();
     LocalMessage {
-        header: Header { source: "node".into(), epoch, sequence: index, time_ns: index as i64 * SECOND_NS },
+        header: Header {
+            source: "node".into(),
+            epoch,
+            sequence: index,
+            time_ns: (index as i64).saturating_mul(SECOND_NS),
+        },
         pace,
         density: Some(LocalDensity {
             mean: vec![mean; 10],
@@ -85,6 +90,17 @@ fn a_replaying_node_that_is_gone_is_not_waited_for() {
         })
         .collect();
     assert_eq!((states[0], states[15]), (NodeHealth::Used, NodeHealth::Silent));
+}
+
+#[test]
+fn a_station_that_comes_late_begins_where_the_nodes_are() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    for index in [5000, 5001, u64::MAX] {
+        let outputs = run(&mut fusion, (0..16).map(|node| local(node, message(3, index, Pace::Replayed, 0.95))));
+        assert_eq!(estimates(&outputs).len(), 1, "one fusion, however far the count has gone");
+    }
+    assert_eq!(fusion.done(), 3);
 }
 
 #[test]
