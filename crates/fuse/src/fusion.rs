@@ -404,6 +404,16 @@ impl Fusion {
                 restarts: node.restarts,
             }));
         }
+        if fused.started_anew {
+            outputs.push(Output::Event(Event {
+                structure: self.structure.clone(),
+                time_ns,
+                kind: EventKind::Restart,
+                subject: "fuse".to_owned(),
+                what: "the station begins anew from the prior".to_owned(),
+                why: "a fused parameter was outside of what is sound".to_owned(),
+            }));
+        }
         let healthy = fused.used > 0;
         if healthy != self.healthy {
             self.healthy = healthy;

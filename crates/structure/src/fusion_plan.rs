@@ -12,7 +12,7 @@ use spandrel_filter::fusion::{
 };
 use spandrel_filter::{ExtendedKalmanFilter, FilterError, FilterSettings};
 
-/// Means outside these make a node start anew: of stiffness, and of everything else. Huang & Yuen (2023), chapter 7, leaves
+/// Means outside these make a node, or the station, start anew: of stiffness, and of everything else. Huang & Yuen (2023), chapter 7, leaves
 /// it open; a node that is lost stays lost without it.
 const HEALTHY_STIFFNESS: (f64, f64) = (0.3, 2.5);
 const HEALTHY_OTHERS: (f64, f64) = (-0.9, 10.0);
@@ -101,20 +101,13 @@ impl Structure {
             let mut settings = own.filter_settings()?;
             change(&mut settings);
             let filter = ExtendedKalmanFilter::new(own.model(), settings)?;
-            let limits = |of: fn((f64, f64)) -> f64| {
-                let limit = |parameter: &crate::Parameter| match parameter.scales {
-                    Scales::Stiffness(_) => of(HEALTHY_STIFFNESS),
-                    _ => of(HEALTHY_OTHERS),
-                };
-                DVector::from_iterator(self.parameters.len(), self.parameters.iter().map(limit))
-            };
             let settings = NodeSettings {
                 steps_per_period: (own.sampling_rate_hz() / plan.rate_hz).round() as u64,
                 feedback: plan.feedback,
                 scheme: plan.covariance.clone(),
                 motion: self.motion_exchange()?,
                 position,
-                healthy: (limits(|(low, _)| low), limits(|(_, high)| high)),
+                healthy: self.healthy_limits(),
             };
             LocalFilter::new(filter, settings)
         };
@@ -143,9 +136,22 @@ impl Structure {
                 motion: self.motion_exchange()?,
                 detector: plan.detector,
                 stale_periods: plan.stale_periods,
+                healthy: self.healthy_limits(),
             })
         };
         Some(make())
+    }
+
+    /// Returns the least and the greatest sound mean of each parameter.
+    fn healthy_limits(&self) -> (DVector<f64>, DVector<f64>) {
+        let limits = |of: fn((f64, f64)) -> f64| {
+            let limit = |parameter: &crate::Parameter| match parameter.scales {
+                Scales::Stiffness(_) => of(HEALTHY_STIFFNESS),
+                _ => of(HEALTHY_OTHERS),
+            };
+            DVector::from_iterator(self.parameters.len(), self.parameters.iter().map(limit))
+        };
+        (limits(|(low, _)| low), limits(|(_, high)| high))
     }
 
     /// Returns how many modes nodes send, and the share of the mass, set going by the excitation, that these miss: the worst of

@@ -4,6 +4,7 @@ use crate::error::ValidateError;
 use crate::outcome::Outcome;
 use crate::run::Run;
 
+mod asynchronous;
 mod class_bouc_wen;
 mod class_dome;
 mod class_high_rise;
@@ -13,6 +14,7 @@ mod ekf_bouc_wen;
 mod ekf_bridge;
 mod ekf_oscillator;
 mod ekf_tower;
+mod hierarchical;
 mod kalman_building;
 mod kalman_vehicle;
 mod noise_bouc_wen;
@@ -46,9 +48,11 @@ const BOOK_5: &str = "Huang & Yuen (2023), chapter 5";
 
 const BOOK_6: &str = "Huang & Yuen (2023), chapter 6";
 
+const BOOK_7: &str = "Huang & Yuen (2023), chapter 7";
+
 const CHING_2006: &str = "Ching, Beck, Porter & Shaikhutdinov (2006)";
 
-static CASES: [Case; 24] = [
+static CASES: [Case; 27] = [
     Case {
         name: "kalman.vehicle",
         title: "Tracking of a vehicle with the Kalman filter",
@@ -202,6 +206,27 @@ static CASES: [Case; 24] = [
         source: BOOK_6,
         weight: 3000.0,
         run: distributed::bridge,
+    },
+    Case {
+        name: "asynchronous.two-dof",
+        title: "Two masses, one clock late: one filter, and a filter for each channel",
+        source: BOOK_7,
+        weight: 1.0,
+        run: asynchronous::two_dof,
+    },
+    Case {
+        name: "asynchronous.truss",
+        title: "Sixteen-bay truss, ten nodes whose clocks disagree",
+        source: BOOK_7,
+        weight: 1300.0,
+        run: asynchronous::truss,
+    },
+    Case {
+        name: "hierarchical.building",
+        title: "Forty-storey building with spikes in every channel and three biased nodes",
+        source: BOOK_7,
+        weight: 800.0,
+        run: hierarchical::building,
     },
     Case {
         name: "particle.building",

@@ -1,11 +1,12 @@
-//! A scene identified by its sensor nodes and a station, without a bus between them.
+//! A structure identified by its sensor nodes and a station, without a bus between them; or by one filter with all their samples.
 
 use crate::error::ValidateError;
 use crate::run::Run;
-use crate::scene::{Course, Scene};
+use crate::scene::Course;
 use crate::statistics::Accuracy;
-use spandrel_filter::fusion::{CompressedMotion, NodeReport, Taken};
-use spandrel_filter::{FilterSettings, Frame};
+use spandrel_filter::fusion::{NodeReport, Taken};
+use spandrel_filter::{ExtendedKalmanFilter, FilterSettings, Frame};
+use spandrel_structure::{Structure, StructureModel};
 
 /// What is followed of a distributed identification.
 pub(crate) struct Fused {
@@ -15,83 +16,137 @@ pub(crate) struct Fused {
     pub(crate) local: Vec<Vec<Course>>,
     /// by fusion and node
     pub(crate) reports: Vec<Vec<NodeReport>>,
-    /// by fusion: the motion in modes, where it is sent so
-    pub(crate) motion: Vec<Option<CompressedMotion>>,
     /// times nodes started anew
     pub(crate) restarts: u64,
 }
 
-/// Runs nodes and station over `data` (frames × channels) from this share of the case to that; `settings` changes those of the
-/// filter of the node at its first channel.
-pub(crate) fn fuse(
-    scene: &Scene,
-    settings: impl Fn(usize, &mut FilterSettings),
-    data: impl Fn(usize, usize) -> f64,
-    shares: (f64, f64),
-    run: &Run<'_>,
-) -> Result<Fused, ValidateError> {
-    let structure = &scene.structure;
-    let missing = || ValidateError::Example { what: "fusion" };
-    let plan = structure.fusion().ok_or_else(missing)?;
-    let mut station = structure.station().ok_or_else(missing)?.map_err(ValidateError::setting)?;
-    let mut nodes = Vec::new();
-    let mut first = 0;
-    for (position, node) in structure.nodes().iter().enumerate() {
-        let of_node = structure.local_filter_with(position, |own| settings(first, own)).ok_or_else(missing)?;
-        nodes.push((of_node.map_err(ValidateError::setting)?, first, node.channels().len()));
-        first += node.channels().len();
+/// What is identified: a structure at the rate of its nodes, and their samples.
+pub(crate) struct Network<'n> {
+    pub(crate) structure: &'n Structure,
+    pub(crate) frames: usize,
+    /// standard deviation of the noise of each channel
+    pub(crate) noise_std: &'n [f64],
+    /// the sample of a frame and channel; channels are numbered through all nodes
+    pub(crate) data: &'n dyn Fn(usize, usize) -> f64,
+}
+
+impl Network<'_> {
+    fn time_s(&self, frame: usize) -> f64 {
+        frame as f64 * self.structure.step_s()
     }
-    let parameters = structure.parameters().len();
-    let mut fused = Fused {
-        courses: vec![Course::default(); parameters],
-        local: vec![vec![Course::default(); parameters]; nodes.len()],
-        reports: Vec::new(),
-        motion: Vec::new(),
-        restarts: 0,
-    };
-    let period = (1.0 / (scene.step_s * plan.rate_hz())).round() as usize;
-    let excitation = vec![0.0; structure.excitations().len()];
-    let mut observations = Vec::new();
-    for frame in 0..scene.frames {
-        for (filter, first, channels) in &mut nodes {
-            observations.clear();
-            observations.extend((*first..*first + *channels).map(|channel| data(frame, channel)));
+
+    /// Frames in a fusion period.
+    fn period(&self) -> usize {
+        let rate_hz = self.structure.fusion().map_or(1.0, |plan| plan.rate_hz());
+        (1.0 / (self.structure.step_s() * rate_hz)).round() as usize
+    }
+
+    /// Sets the noise of the sensors as it is, for the filter of the node whose first channel is numbered so.
+    fn set_noise(&self, first: usize, settings: &mut FilterSettings) {
+        settings.noise.sensors.fill(0.0);
+        for channel in 0..settings.noise.sensors.nrows() {
+            settings.noise.sensors[(channel, channel)] = self.noise_std[first + channel].powi(2);
+        }
+        settings.variance_bound.fill(f64::INFINITY);
+    }
+
+    /// Runs nodes and station from this share of the case to that; `look` sees the filter of each node, with the number of its
+    /// first channel, after each frame.
+    pub(crate) fn fuse(
+        &self,
+        shares: (f64, f64),
+        run: &Run<'_>,
+        mut look: impl FnMut(usize, usize, &ExtendedKalmanFilter<StructureModel>),
+    ) -> Result<Fused, ValidateError> {
+        let structure = self.structure;
+        let missing = || ValidateError::Example { what: "fusion" };
+        let mut station = structure.station().ok_or_else(missing)?.map_err(ValidateError::setting)?;
+        let mut nodes = Vec::new();
+        let mut first = 0;
+        for (position, node) in structure.nodes().iter().enumerate() {
+            let of_node =
+                structure.local_filter_with(position, |own| self.set_noise(first, own)).ok_or_else(missing)?;
+            nodes.push((of_node.map_err(ValidateError::setting)?, first, node.channels().len()));
+            first += node.channels().len();
+        }
+        let parameters = structure.parameters().len();
+        let mut fused = Fused {
+            courses: vec![Course::default(); parameters],
+            local: vec![vec![Course::default(); parameters]; nodes.len()],
+            reports: Vec::new(),
+            restarts: 0,
+        };
+        let excitation = vec![0.0; structure.excitations().len()];
+        let mut observations = Vec::new();
+        for frame in 0..self.frames {
+            for (filter, first, channels) in &mut nodes {
+                observations.clear();
+                observations.extend((*first..*first + *channels).map(|channel| (self.data)(frame, channel)));
+                filter
+                    .step(Frame { observations: &observations, excitation: &excitation })
+                    .map_err(ValidateError::at(self.time_s(frame)))?;
+                look(frame, *first, filter.filter());
+            }
+            if (frame + 1) % self.period() != 0 {
+                continue;
+            }
+            let index = ((frame + 1) / self.period()) as f64;
+            let (time_s, truth) = (self.time_s(frame), structure.true_parameters(frame as u64));
+            for (position, (filter, ..)) in nodes.iter_mut().enumerate() {
+                let report = filter.report();
+                for (j, course) in fused.local[position].iter_mut().enumerate() {
+                    let density = &report.parameters;
+                    course.take(time_s, density.mean[j], density.covariance[(j, j)], truth[j]);
+                }
+                // a node that is of no use in this fusion is reported as not heard
+                let _ = station.receive(position, report, index);
+            }
+            let result = station.fuse(index);
+            for ((filter, ..), feedback) in nodes.iter_mut().zip(&result.feedback) {
+                if let Some(feedback) = feedback {
+                    let taken = filter.take(feedback);
+                    debug_assert_ne!(taken, Taken::Stale);
+                }
+            }
+            for (j, course) in fused.courses.iter_mut().enumerate() {
+                course.take(time_s, result.parameters.mean[j], result.parameters.covariance[(j, j)], truth[j]);
+            }
+            fused.reports.push(result.nodes);
+            if !run.advance(shares.0 + (shares.1 - shares.0) * frame as f64 / self.frames as f64) {
+                return Err(ValidateError::Stopped);
+            }
+        }
+        fused.restarts = nodes.iter().map(|(filter, ..)| filter.restarts()).sum();
+        Ok(fused)
+    }
+
+    /// Runs one filter that has the samples of all nodes; its estimates at the instants of the fusions, by parameter.
+    pub(crate) fn in_one_filter(&self, shares: (f64, f64), run: &Run<'_>) -> Result<Vec<Course>, ValidateError> {
+        let structure = self.structure;
+        let mut settings = structure.filter_settings().map_err(ValidateError::setting)?;
+        self.set_noise(0, &mut settings);
+        let mut filter = ExtendedKalmanFilter::new(structure.model(), settings).map_err(ValidateError::setting)?;
+        let mut courses = vec![Course::default(); structure.parameters().len()];
+        let excitation = vec![0.0; structure.excitations().len()];
+        let mut observations = vec![0.0; self.noise_std.len()];
+        for frame in 0..self.frames {
+            observations.iter_mut().enumerate().for_each(|(channel, value)| *value = (self.data)(frame, channel));
             filter
                 .step(Frame { observations: &observations, excitation: &excitation })
-                .map_err(ValidateError::at(scene.time_s(frame)))?;
-        }
-        if (frame + 1) % period != 0 {
-            continue;
-        }
-        let index = ((frame + 1) / period) as f64;
-        let (time_s, truth) = (scene.time_s(frame), structure.true_parameters(frame as u64));
-        for (position, (filter, ..)) in nodes.iter_mut().enumerate() {
-            let report = filter.report();
-            for (j, course) in fused.local[position].iter_mut().enumerate() {
-                let density = &report.parameters;
-                course.take(time_s, density.mean[j], density.covariance[(j, j)], truth[j]);
+                .map_err(ValidateError::at(self.time_s(frame)))?;
+            if (frame + 1) % self.period() != 0 {
+                continue;
             }
-            // a node that is of no use in this fusion is reported as not heard
-            let _ = station.receive(position, report, index);
-        }
-        let result = station.fuse(index);
-        for ((filter, ..), feedback) in nodes.iter_mut().zip(&result.feedback) {
-            if let Some(feedback) = feedback {
-                let taken = filter.take(feedback);
-                debug_assert_ne!(taken, Taken::Stale);
+            let (density, truth) = (filter.parameters(), structure.true_parameters(frame as u64));
+            for (j, course) in courses.iter_mut().enumerate() {
+                course.take(self.time_s(frame), density.mean[j], density.covariance[(j, j)], truth[j]);
+            }
+            if !run.advance(shares.0 + (shares.1 - shares.0) * frame as f64 / self.frames as f64) {
+                return Err(ValidateError::Stopped);
             }
         }
-        for (j, course) in fused.courses.iter_mut().enumerate() {
-            course.take(time_s, result.parameters.mean[j], result.parameters.covariance[(j, j)], truth[j]);
-        }
-        fused.reports.push(result.nodes);
-        fused.motion.push(result.motion);
-        if !run.advance(shares.0 + (shares.1 - shares.0) * frame as f64 / scene.frames as f64) {
-            return Err(ValidateError::Stopped);
-        }
+        Ok(courses)
     }
-    fused.restarts = nodes.iter().map(|(filter, ..)| filter.restarts()).sum();
-    Ok(fused)
 }
 
 /// Accuracy of one course outside of the start and of the time after each damage.

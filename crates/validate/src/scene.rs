@@ -1,6 +1,7 @@
 //! A structure of an example, its simulated record, and its filter.
 
 use crate::error::ValidateError;
+use crate::network::Network;
 use crate::outcome::{Plot, Series, SeriesKind};
 use crate::run::Run;
 use crate::statistics::{Accuracy, Mean, Normal, rms};
@@ -116,6 +117,11 @@ impl Scene {
         Ok(settings)
     }
 
+    /// The nodes of the structure, with samples of their channels by frame and channel.
+    pub(crate) fn network<'s>(&'s self, data: &'s dyn Fn(usize, usize) -> f64) -> Network<'s> {
+        Network { structure: &self.structure, frames: self.frames, noise_std: &self.noise_std, data }
+    }
+
     /// What is measured of the excitation at a frame, 0 where nothing is.
     pub(crate) fn excitation(&self, frame: usize) -> &[f64] {
         let inputs = self.excitation_noise_std.len();
@@ -176,15 +182,28 @@ impl Scene {
         data: impl Fn(usize) -> &'d [f64],
         shares: (f64, f64),
         run: &Run<'_>,
+        look: impl FnMut(usize, &ExtendedKalmanFilter<StructureModel>, &Step),
+    ) -> Result<(), ValidateError> {
+        self.filter_for(self.frames, settings, data, shares, run, look)
+    }
+
+    /// As [`Scene::filter`], over the first so many frames.
+    pub(crate) fn filter_for<'d>(
+        &self,
+        frames: usize,
+        settings: FilterSettings,
+        data: impl Fn(usize) -> &'d [f64],
+        shares: (f64, f64),
+        run: &Run<'_>,
         mut look: impl FnMut(usize, &ExtendedKalmanFilter<StructureModel>, &Step),
     ) -> Result<(), ValidateError> {
         let mut filter = ExtendedKalmanFilter::new(self.structure.model(), settings).map_err(ValidateError::setting)?;
-        for frame in 0..self.frames {
+        for frame in 0..frames {
             let step = filter
                 .step(Frame { observations: data(frame), excitation: self.excitation(frame) })
                 .map_err(ValidateError::at(self.time_s(frame)))?;
             look(frame, &filter, &step);
-            let done = frame as f64 / self.frames as f64;
+            let done = frame as f64 / frames as f64;
             if frame % LOOK_EVERY == 0 && !run.advance(shares.0 + (shares.1 - shares.0) * done) {
                 return Err(ValidateError::Stopped);
             }

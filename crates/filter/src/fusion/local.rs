@@ -136,7 +136,7 @@ pub struct LocalFilter<M> {
     /// what of the coming message's lineage is known; `None` after a new start
     lineage: Option<Lineage>,
     last_answer: u64,
-    /// means of the last fused density
+    /// means of the last fused density that was healthy
     fused: Option<DVector<f64>>,
     restarts: u64,
 }
@@ -256,7 +256,9 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         {
             lineage.answers.push(feedback.answers);
         }
-        self.fused = Some(feedback.parameters.mean.clone());
+        if is_within(&feedback.parameters.mean, &self.settings.healthy) {
+            self.fused = Some(feedback.parameters.mean.clone());
+        }
         self.last_answer = feedback.answers;
         self.sent.retain(|(index, _)| *index > feedback.answers);
         Taken::Applied
@@ -341,9 +343,7 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
 
     fn is_healthy(&self) -> bool {
         let parameters = self.filter.parameters();
-        let (low, high) = &self.settings.healthy;
-        let mut means = parameters.mean.iter().zip(low.iter().zip(high));
-        means.all(|(mean, (low, high))| (low..=high).contains(&mean)) && parameters.information().is_ok()
+        is_within(&parameters.mean, &self.settings.healthy) && parameters.information().is_ok()
     }
 
     /// Goes back to the prior, with the parameters at the last fused means.
@@ -358,6 +358,11 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         self.sent.clear();
         (self.lineage, self.rewind) = (None, None);
     }
+}
+
+/// Tells whether means lie between limits (N_θ each).
+pub(super) fn is_within(means: &DVector<f64>, (low, high): &(DVector<f64>, DVector<f64>)) -> bool {
+    means.iter().zip(low.iter().zip(high)).all(|(mean, (low, high))| (low..=high).contains(&mean))
 }
 
 /// Overwrites parameters and motion, (6.17) and (6.21): the cross-covariances become zero.

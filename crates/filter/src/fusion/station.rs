@@ -6,7 +6,7 @@
 use super::compression::{CompressedMotion, MotionExchange};
 use super::detector::{GlobalDetector, NodeDistance};
 use super::gaussian::{Gaussian, Information};
-use super::local::{Feedback, FeedbackRule, LocalEstimate, base};
+use super::local::{Feedback, FeedbackRule, LocalEstimate, base, is_within};
 use crate::error::FilterError;
 use crate::fading::bound_variances_mut;
 use nalgebra::DVector;
@@ -78,6 +78,8 @@ pub struct StationSettings {
     pub detector: Option<GlobalDetector>,
     /// A message older than this (fusion periods) is dropped, 3 by default.
     pub stale_periods: f64,
+    /// Fused means outside these (N_θ each) make the station start anew from the prior.
+    pub healthy: (DVector<f64>, DVector<f64>),
 }
 
 /// Why a message of a node was not taken.
@@ -133,6 +135,8 @@ pub struct Fused {
     pub nodes: Vec<NodeReport>,
     /// By node: the answer to its last message, if there is one.
     pub feedback: Vec<Option<Feedback>>,
+    /// What came out was no sound value, and the station began anew from the prior.
+    pub started_anew: bool,
 }
 
 /// A node as the station knows it.
@@ -171,9 +175,15 @@ impl Station {
     /// When the prior is no density or a setting is out of range.
     pub fn new(settings: StationSettings) -> Result<Self, FilterError> {
         let fused = settings.prior.information()?;
-        let (found, expected) = (settings.variance_bound.len(), settings.prior.mean.len());
-        if found != expected {
-            return Err(FilterError::Dimension { what: "variance bound of the station", found, expected });
+        let expected = settings.prior.mean.len();
+        for (what, found) in [
+            ("variance bound of the station", settings.variance_bound.len()),
+            ("lower limit of health of the station", settings.healthy.0.len()),
+            ("upper limit of health of the station", settings.healthy.1.len()),
+        ] {
+            if found != expected {
+                return Err(FilterError::Dimension { what, found, expected });
+            }
         }
         let growth = settings.growth_per_period;
         if !(growth >= 1.0 && growth.is_finite()) {
@@ -303,7 +313,11 @@ impl Station {
         }
         self.judge(&heard, &mut nodes);
         let used: Vec<usize> = heard.iter().copied().filter(|index| !nodes[*index].excluded).collect();
-        let parameters = self.add_learnt(&used, &waiting, at);
+        let mut parameters = self.add_learnt(&used, &waiting, at);
+        let started_anew = !is_within(&parameters.mean, &self.settings.healthy);
+        if started_anew && let Ok(prior) = self.settings.prior.information() {
+            (self.fused, parameters) = (prior, self.settings.prior.clone());
+        }
         let motion = self.fuse_motion(&used, &waiting);
         let mut responses = Vec::new();
         if let MotionExchange::Responses(_) = self.settings.motion {
@@ -313,7 +327,7 @@ impl Station {
             }
         }
         let feedback = self.answer(&heard, &parameters, used.len(), (motion.as_ref(), &responses));
-        Fused { parameters, motion, responses, used: used.len(), nodes, feedback }
+        Fused { parameters, motion, responses, used: used.len(), nodes, feedback, started_anew }
     }
 
     fn judge(&self, heard: &[usize], nodes: &mut [NodeReport]) {

@@ -5,7 +5,7 @@
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
-use crate::network::{self, Fused, settled};
+use crate::network::{Fused, settled};
 use crate::outcome::Outcome;
 use crate::run::Run;
 use crate::scene::{Course, Plan, Scene};
@@ -102,19 +102,15 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
         Scene::simulate(&Plan { text, seconds, noise_share: 0.05, watched: &|_: &Structure| Vec::new() }, run)
     };
     let scene = simulate(&marginal, seconds)?;
-    let identify = |scene: &Scene, shares| {
-        let change = |first: usize, settings: &mut spandrel_filter::FilterSettings| {
-            for channel in 0..settings.noise.sensors.nrows() {
-                settings.noise.sensors[(channel, channel)] = scene.noise_std[first + channel].powi(2);
-            }
-            settings.variance_bound.fill(f64::INFINITY);
-        };
-        network::fuse(scene, change, |frame, channel| scene.data(frame)[channel], shares, run)
+    let fuse = |scene: &Scene, shares| {
+        let data = |frame: usize, channel: usize| scene.data(frame)[channel];
+        scene.network(&data).fuse(shares, run, |_, _, _| {})
     };
-    let by_marginal = identify(&scene, (0.0, 0.4))?;
-    let with_responses = identify(&simulate(&responses, seconds)?, (0.4, 0.8))?;
-    let as_published = identify(&simulate(&published, seconds.min(30.0))?, (0.8, 0.85))?;
-    let central = centralised(&scene, (0.85, 1.0), run)?;
+    let by_marginal = fuse(&scene, (0.0, 0.4))?;
+    let with_responses = fuse(&simulate(&responses, seconds)?, (0.4, 0.8))?;
+    let as_published = fuse(&simulate(&published, seconds.min(30.0))?, (0.8, 0.85))?;
+    let data = |frame: usize, channel: usize| scene.data(frame)[channel];
+    let central = scene.network(&data).in_one_filter((0.85, 1.0), run)?;
 
     let mut figures = Vec::new();
     let modes_of = scene.structure.natural_frequencies_hz();
@@ -245,29 +241,4 @@ fn freezing(published: &Fused, nodes: usize) -> Vec<Figure> {
         ),
         Figure::new("published rule: deviation of the first stiffness after 5 s", deviation(5), Required::Reported),
     ]
-}
-
-/// The filter that has the samples of all nodes, at the instants of the fusions.
-fn centralised(scene: &Scene, shares: (f64, f64), run: &Run<'_>) -> Result<Vec<Course>, ValidateError> {
-    let parameters = scene.structure.parameters().len();
-    let mut courses = vec![Course::default(); parameters];
-    let mut settings = scene.settings()?;
-    settings.variance_bound.fill(f64::INFINITY);
-    let period = (1.0 / scene.step_s).round() as usize;
-    scene.filter(
-        settings,
-        |frame| scene.data(frame),
-        shares,
-        run,
-        |frame, filter, _| {
-            if (frame + 1) % period == 0 {
-                let density = filter.parameters();
-                let truth = scene.structure.true_parameters(frame as u64);
-                for (j, course) in courses.iter_mut().enumerate() {
-                    course.take(scene.time_s(frame), density.mean[j], density.covariance[(j, j)], truth[j]);
-                }
-            }
-        },
-    )?;
-    Ok(courses)
 }

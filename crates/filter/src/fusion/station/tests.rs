@@ -97,8 +97,36 @@ fn station(nodes: usize, rule: FusionRule, feedback: FeedbackRule) -> Station {
         motion: MotionExchange::None,
         detector: None,
         stale_periods: 3.0,
+        healthy: (DVector::repeat(2, 0.0), DVector::repeat(2, 5.0)),
     })
     .unwrap()
+}
+
+#[test]
+fn a_station_that_is_led_astray_begins_anew_from_the_prior() {
+    let mut station = station(2, FusionRule::Published, FeedbackRule::Marginal);
+    let message = |index, mean: [f64; 2]| LocalEstimate {
+        index,
+        parameters: Gaussian {
+            mean: DVector::from_row_slice(&mean),
+            covariance: DMatrix::from_diagonal_element(2, 2, 1e-6),
+        },
+        lineage: Some(Lineage { own: index - 1, answers: Vec::new() }),
+        motion: None,
+    };
+    for node in 0..2 {
+        station.receive(node, message(1, [1.0, 1.1]), 1.0).unwrap();
+    }
+    let fused = station.fuse(1.0);
+    assert!(!fused.started_anew && (fused.parameters.mean[1] - 1.1).abs() < 1e-9);
+    for node in 0..2 {
+        station.receive(node, message(2, [1.0, -9.0]), 2.0).unwrap();
+    }
+    let fused = station.fuse(2.0);
+    assert!(fused.started_anew);
+    assert_eq!(fused.parameters.mean, prior().mean);
+    // what nodes are told is the prior, too
+    assert_eq!(fused.feedback[0].as_ref().unwrap().parameters.mean, prior().mean);
 }
 
 /// A datum of node `k` at `step`, reproducible and without a pattern.

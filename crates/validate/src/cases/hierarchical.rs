@@ -1,0 +1,262 @@
+//! Chapter 7, §7.4: forty storeys, one sample in a hundred wrong in every channel, and three nodes that are wrong all the time.
+//!
+//! Nodes screen samples, the station tests nodes. The page's runs keep ten or twenty modes; its runs with all forty went astray.
+//! Here the structure has all of them and the published rate, and nodes tell one another their responses, without which the
+//! second drop is not seen.
+
+use crate::error::ValidateError;
+use crate::figure::{Figure, Required};
+use crate::network::settled;
+use crate::outcome::{Outcome, Plot, Series, SeriesKind, Table};
+use crate::run::Run;
+use crate::scene::{Course, Plan, Scene};
+use crate::statistics::{Accuracy, Mean, Uniform};
+use spandrel_filter::Verdict;
+use spandrel_structure::Structure;
+
+const FILE: &str = include_str!("../../../../docs/examples/forty-storey-spikes.toml");
+const GROUPS: usize = 6;
+/// Screening is learnt for so long, in addition to the published record (s).
+const TRAINING_S: f64 = 35.0;
+/// Errors count from here on, after the training, and not for so long after a damage (s).
+const COUNTED_FROM_S: f64 = 20.0;
+const AFTER_DAMAGE_S: f64 = 20.0;
+/// Local rates count from here on, after the training (s).
+const RATES_FROM_S: f64 = 10.0;
+const SPIKES: f64 = 0.01;
+/// Channels that are off by a constant, as a share of what they show: displacement of floor 10, acceleration of floor 20, both of 30.
+const BIASES: [(usize, f64); 4] = [(16, 0.20), (27, 0.15), (28, 0.10), (29, 0.10)];
+/// The nodes of those channels, with the published rates of detection.
+const BIASED: [(usize, f64); 3] = [(8, 0.972), (13, 0.934), (14, 0.916)];
+
+/// Of one channel: counts of what and out of what.
+#[derive(Clone, Copy, Default)]
+struct Rates {
+    /// spikes that were kept, out of all
+    masked: [f64; 2],
+    /// the same for those farther than six scales of the residuals from the clean sample
+    gross_masked: [f64; 2],
+    /// regular samples that were rejected, out of all
+    swamped: [f64; 2],
+}
+
+fn share(counts: [f64; 2]) -> f64 {
+    counts[0] / counts[1].max(1.0)
+}
+
+/// Replaces samples and adds the biases; returns frames × channels, and which samples are wrong.
+fn corrupt(scene: &Scene, seed: u64) -> (Vec<f64>, Vec<bool>) {
+    let channels = scene.noise_std.len();
+    let mut data: Vec<f64> = (0..scene.frames).flat_map(|frame| scene.data(frame).to_vec()).collect();
+    let mut wrong = vec![false; data.len()];
+    let mut random = Uniform::stream(seed, 8);
+    for channel in 0..channels {
+        let of_channel = (0..scene.frames).map(|frame| scene.clean(frame)[channel]);
+        let (low, high) = of_channel.fold((0.0_f64, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
+        for at in (channel..data.len()).step_by(channels) {
+            if random.between(0.0, 1.0) < SPIKES {
+                data[at] = random.between(low, high);
+                wrong[at] = true;
+            }
+        }
+    }
+    for (channel, of_rms) in BIASES {
+        let bias = of_rms * scene.noise_std[channel] / 0.05; // the noise is 5 % of the rms
+        data.iter_mut().skip(channel).step_by(channels).for_each(|value| *value += bias);
+    }
+    (data, wrong)
+}
+
+pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
+    let (rate_hz, seconds, damages) = run.pick((250.0, 500.0, [200.0, 350.0]), (50.0, 30.0, [50.0, 60.0]));
+    let damages = damages.map(|at_s| at_s + TRAINING_S);
+    let text = FILE
+        .replacen("sampling-rate-hz = 250", &format!("sampling-rate-hz = {rate_hz}"), 1)
+        .replacen("at-s = 200", &format!("at-s = {}", damages[0]), 1)
+        .replacen("at-s = 350", &format!("at-s = {}", damages[1]), 1);
+    let watched = |_: &Structure| Vec::new();
+    let plan = Plan { text: &text, seconds: TRAINING_S + seconds, noise_share: 0.05, watched: &watched };
+    let scene = Scene::simulate(&plan, run)?;
+    let (corrupted, wrong) = corrupt(&scene, run.seed);
+    let channels = scene.noise_std.len();
+
+    let mut rates = vec![Rates::default(); channels];
+    let data = |frame: usize, channel: usize| corrupted[frame * channels + channel];
+    let fused = scene.network(&data).fuse((0.0, 0.7), run, |frame, first, filter| {
+        let Some(screening) = filter.outliers().filter(|_| scene.time_s(frame) > TRAINING_S + RATES_FROM_S) else {
+            return;
+        };
+        for (own, channel) in screening.channels().iter().enumerate() {
+            let rejected = channel.verdict() != Verdict::Regular;
+            let (channel_number, at) = (first + own, frame * channels + first + own);
+            let rates = &mut rates[channel_number];
+            let count = |counts: &mut [f64; 2], counted: bool| {
+                counts[0] += f64::from(u8::from(counted));
+                counts[1] += 1.0;
+            };
+            if wrong[at] {
+                count(&mut rates.masked, !rejected);
+                if (corrupted[at] - scene.clean(frame)[channel_number]).abs() > 6.0 * channel.scale() {
+                    count(&mut rates.gross_masked, !rejected);
+                }
+            } else {
+                count(&mut rates.swamped, rejected);
+            }
+        }
+    })?;
+    let clean = |frame: usize, channel: usize| scene.data(frame)[channel];
+    let raw_in_one = scene.network(&data).in_one_filter((0.7, 0.85), run)?;
+    let clean_in_one = scene.network(&clean).in_one_filter((0.85, 1.0), run)?;
+
+    let judged = |required: Required| run.pick(required, Required::Reported);
+    let f1 = scene.structure.natural_frequencies_hz()[0];
+    let mut figures =
+        vec![Figure::new("frequency 1 (Hz)", f1, Required::Within { of: 0.2869, by: 5e-5 }).published(0.2869)];
+
+    // which nodes are left out
+    let working: Vec<_> =
+        fused.reports.iter().zip(&fused.courses[0].points).filter(|(_, point)| point[0] > TRAINING_S).collect();
+    let nodes = scene.structure.nodes();
+    let excluded: Vec<f64> = (0..nodes.len())
+        .map(|node| {
+            share([working.iter().filter(|(reports, _)| reports[node].excluded).count() as f64, working.len() as f64])
+        })
+        .collect();
+    for (node, published) in BIASED {
+        figures.push(
+            Figure::new(
+                format!("{}: share of the fusions that leave it out", nodes[node].name()),
+                excluded[node],
+                Required::AtLeast(0.9),
+            )
+            .published(published),
+        );
+    }
+    let healthy = |node: &usize| BIASED.iter().all(|(biased, _)| biased != node);
+    let worst_healthy = (0..nodes.len()).filter(healthy).map(|node| excluded[node]).fold(0.0, f64::max);
+    figures.push(
+        Figure::new(
+            "healthy nodes: largest share of the fusions that leave one out",
+            worst_healthy,
+            Required::AtMost(0.006),
+        )
+        .published(0.006),
+    );
+
+    // stiffness
+    let from_s = TRAINING_S + COUNTED_FROM_S;
+    let accuracy = |courses: &[Course], of: &dyn Fn(&Accuracy) -> f64| {
+        let mut mean = Mean::default();
+        courses[..GROUPS].iter().for_each(|course| mean.take(of(&settled(course, from_s, &damages, AFTER_DAMAGE_S))));
+        mean.value()
+    };
+    let error = |courses: &[Course]| accuracy(courses, &Accuracy::mean_absolute_error);
+    figures.extend([
+        Figure::new("fused: mean error of stiffness", error(&fused.courses), judged(Required::AtMost(0.025))),
+        Figure::new(
+            "fused: share of stiffnesses within 3 deviations",
+            accuracy(&fused.courses, &Accuracy::coverage),
+            judged(Required::AtLeast(0.95)),
+        ),
+        Figure::new("one filter, all raw samples: mean error of stiffness", error(&raw_in_one), Required::Reported),
+        Figure::new("one filter, all clean samples: mean error of stiffness", error(&clean_in_one), Required::Reported),
+        Figure::new(
+            "one filter: error with raw samples over that with clean ones",
+            error(&raw_in_one) / error(&clean_in_one),
+            judged(Required::AtLeast(10.0)),
+        ),
+        Figure::new(
+            "fused over one filter with clean samples",
+            error(&fused.courses) / error(&clean_in_one),
+            Required::Reported,
+        ),
+        Figure::new("nodes started anew, times", fused.restarts as f64, Required::Reported),
+    ]);
+    for (group, at_s) in [0, 1].into_iter().zip(damages) {
+        let course = &fused.courses[group];
+        let name = scene.structure.parameters()[group].name();
+        figures.extend([
+            Figure::new(
+                format!("{name}: in the 20 s before its drop"),
+                course.mean(at_s - 20.0, at_s),
+                judged(Required::Within { of: 1.0, by: 0.02 }),
+            ),
+            Figure::new(
+                format!("{name}: from 18 to 22 s after its drop"),
+                course.mean(at_s + 18.0, at_s + 22.0),
+                judged(Required::Within { of: 0.95, by: 0.02 }),
+            ),
+            Figure::new(
+                format!("{name}: from 20 to 60 s after its drop"),
+                course.mean(at_s + 20.0, at_s + 60.0),
+                judged(Required::Within { of: 0.95, by: 0.02 }),
+            ),
+        ]);
+    }
+
+    // samples
+    let of_healthy = |of: &dyn Fn(&Rates) -> f64| {
+        let rates = rates.iter().enumerate().filter(|(channel, _)| healthy(&(channel / 2)));
+        rates.map(|(_, rates)| of(rates)).fold(0.0, f64::max)
+    };
+    figures.extend([
+        Figure::new(
+            "largest masking of a channel, of spikes farther than six scales of the residuals from the clean sample",
+            rates.iter().map(|rates| share(rates.gross_masked)).fold(0.0, f64::max),
+            judged(Required::AtMost(0.02)),
+        )
+        .published(0.0008),
+        Figure::new(
+            "healthy nodes: largest masking of a channel, raw",
+            of_healthy(&|rates| share(rates.masked)),
+            Required::Reported,
+        ),
+        Figure::new(
+            "healthy nodes: largest swamping of a channel",
+            of_healthy(&|rates| share(rates.swamped)),
+            judged(Required::AtMost(0.04)),
+        )
+        .published(0.0045),
+    ]);
+
+    let percent = |value: f64| format!("{:.2}", 100.0 * value);
+    let rows = nodes.iter().enumerate().map(|(node, of_node)| {
+        let [displacement, acceleration] = [rates[2 * node], rates[2 * node + 1]];
+        vec![
+            of_node.name().to_owned(),
+            percent(share(displacement.gross_masked)),
+            percent(share(displacement.swamped)),
+            percent(share(acceleration.gross_masked)),
+            percent(share(acceleration.swamped)),
+            percent(excluded[node]),
+        ]
+    });
+    let table = Table {
+        title:
+            "Local masking (of detectable spikes) and swamping, and share of the fusions that leave the node out (%)"
+                .to_owned(),
+        columns: ["node", "displacement, masking", "swamping", "acceleration, masking", "swamping", "left out"]
+            .map(str::to_owned)
+            .to_vec(),
+        rows: rows.collect(),
+    };
+    let mut plots = Vec::new();
+    for group in [0, 1] {
+        let name = scene.structure.parameters()[group].name();
+        for (what, course) in [
+            ("one filter with all raw samples", &raw_in_one[group]),
+            ("node at floor 40, its own estimate", &fused.local[15][group]),
+            ("node at floor 30, which is biased", &fused.local[14][group]),
+            ("fused", &fused.courses[group]),
+        ] {
+            plots.push(course.plot(&format!("{name}, {what}"), "ratio to nominal", (0.8, 1.2)));
+        }
+    }
+    let distances = [(8, "floor 10, biased"), (15, "floor 40")].map(|(node, label)| {
+        let points = fused.reports.iter().zip(&fused.courses[0].points);
+        let points = points.filter_map(|(reports, point)| Some((point[0] as f32, reports[node].distance? as f32)));
+        Series::new(label, SeriesKind::Points, points.collect())
+    });
+    plots.push(Plot::over_time("Distance of two nodes from all others", "–", distances.to_vec()));
+    Ok(Outcome { figures, tables: vec![table], plots })
+}
