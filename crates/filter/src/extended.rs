@@ -512,6 +512,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         self.state = state;
     }
 
+    /// Returns the number of observations in a frame.
+    #[must_use]
+    pub fn observation_len(&self) -> usize {
+        self.model.observation_len()
+    }
+
     pub(crate) fn check_frame(&self, frame: Frame<'_>) -> Result<(), FilterError> {
         let sizes = [
             ("observations of a frame", frame.observations.len(), self.model.observation_len()),

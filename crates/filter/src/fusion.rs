@@ -10,6 +10,7 @@
 //!
 //! - [`gaussian`]: densities, their information form, products
 //! - [`compression`]: what a node sends in place of its whole state and covariance
+//! - [`samples`]: nodes that tell one another a few of their samples
 //! - [`local`]: the filter of a node, and how it takes feedback
 //! - [`station`]: fuses on its own clock with what has arrived
 //! - [`detector`]: which nodes are wrong
@@ -20,10 +21,12 @@ pub mod compression;
 pub mod detector;
 pub mod gaussian;
 pub mod local;
+pub mod samples;
 pub mod station;
 
 pub use compression::{CompressedMotion, CovarianceScheme, ModalBasis, MotionExchange, Responses, Weights};
 pub use detector::{GlobalDetector, NodeDistance};
 pub use gaussian::{Gaussian, Information, product};
 pub use local::{Feedback, FeedbackRule, Lineage, LocalEstimate, LocalFilter, NodeSettings, Taken};
+pub use samples::SampleExchange;
 pub use station::{Fused, FusionRule, NodeReport, Refusal, Sharing, Station, StationSettings};

@@ -110,7 +110,7 @@ impl NodeIdentification {
             restarts: 0,
             sent: 0,
             dropped: BTreeMap::new(),
-            responses: plan.exchanges_responses(),
+            responses: plan.passes_motion_on(),
             filter,
         })
     }

@@ -8,7 +8,7 @@ use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::fusion::{
     CovarianceScheme, FeedbackRule, FusionRule, Gaussian, GlobalDetector, LocalFilter, ModalBasis, MotionExchange,
-    NodeSettings, Responses, Station, StationSettings, Weights,
+    NodeSettings, Responses, SampleExchange, Station, StationSettings, Weights,
 };
 use spandrel_filter::{ExtendedKalmanFilter, FilterError, FilterSettings};
 
@@ -24,6 +24,8 @@ pub(crate) enum MotionPlan {
     /// So many modes, or as many as carry the mass.
     Modes(Option<usize>),
     Responses,
+    /// Samples at so many instants of a fusion period.
+    Samples(usize),
 }
 
 /// The `[fusion]` table of a structure file whose identification is distributed.
@@ -51,10 +53,10 @@ impl FusionPlan {
         self.feedback
     }
 
-    /// Tells whether nodes tell one another their responses.
+    /// Tells whether every node is told what each of the others has sent of the motion, or of its samples.
     #[must_use]
-    pub fn exchanges_responses(&self) -> bool {
-        self.motion == MotionPlan::Responses
+    pub fn passes_motion_on(&self) -> bool {
+        matches!(self.motion, MotionPlan::Responses | MotionPlan::Samples(_))
     }
 
     /// Returns the test of the nodes, if there is one.
@@ -86,7 +88,8 @@ impl Structure {
         self.local_filter_with(position, |_settings| {})
     }
 
-    /// As [`Structure::local_filter`], with settings of the filter changed before it is made.
+    /// As [`Structure::local_filter`], with settings of the filter changed before it is made: of the node's own channels, or of
+    /// those of all nodes where they tell one another samples.
     ///
     /// # Errors
     /// When the filter refuses its settings.
@@ -96,7 +99,12 @@ impl Structure {
         change: impl FnOnce(&mut FilterSettings),
     ) -> Option<Result<LocalFilter<StructureModel>, FilterError>> {
         let plan = self.fusion.as_ref()?;
-        let own = self.of_node(self.nodes.get(position)?.name())?;
+        let own = match plan.motion {
+            MotionPlan::Samples(_) => self.with_samples_of_others(position)?,
+            MotionPlan::None | MotionPlan::Modes(_) | MotionPlan::Responses => {
+                self.of_node(self.nodes.get(position)?.name())?
+            }
+        };
         let make = || {
             let mut settings = own.filter_settings()?;
             change(&mut settings);
@@ -180,6 +188,10 @@ impl Structure {
                 let all: usize = nodes.iter().map(|node| 2 * node.rows().nrows()).sum();
                 (density + 2 * nodes.get(position)?.rows().nrows(), density + all)
             }
+            MotionExchange::Samples(exchange) => {
+                let all: usize = (0..exchange.nodes()).map(|node| exchange.numbers(node)).sum();
+                (density + exchange.numbers(position), density + all - exchange.numbers(position))
+            }
         })
     }
 
@@ -193,6 +205,9 @@ impl Structure {
             },
             MotionPlan::Responses => {
                 MotionExchange::Responses(self.nodes.iter().map(|node| self.responses(node)).collect())
+            }
+            MotionPlan::Samples(instants) => {
+                MotionExchange::Samples(SampleExchange::new(&self.observations_by_node(), instants))
             }
         })
     }

@@ -14,8 +14,8 @@ impl Structure {
     pub fn of_node(&self, name: &str) -> Option<Self> {
         let position = self.nodes.iter().position(|node| node.name() == name)?;
         let node = self.nodes[position].clone();
-        let first: usize = self.nodes[..position].iter().map(|node| node.channels().len()).sum();
-        let own = first..first + node.channels().len();
+        let own = self.channels_of(position);
+        let first = own.start;
         let own_channel = |channel: usize| own.contains(&channel).then(|| channel - first);
         let sampling_rate_hz = node.sampling_rate_hz().unwrap_or(self.sampling_rate_hz);
 
@@ -63,6 +63,46 @@ impl Structure {
             simulation,
             ..self.clone()
         })
+    }
+
+    /// Returns the structure with the observation channels of all nodes, sampled at the rate of the node at `position`, whose
+    /// measured excitation alone is known: what a node sees that is told samples of the others. `None` if there is no such node.
+    pub(crate) fn with_samples_of_others(&self, position: usize) -> Option<Self> {
+        let of_node = self.of_node(self.nodes.get(position)?.name())?;
+        let first = self.channels_of(position).start;
+        let mut noise_levels = self.noise_levels.clone();
+        for level in &mut noise_levels {
+            if let NoiseSource::Excitation(index) = level.source {
+                level.std = of_node.excitations[index].unknown_std();
+            }
+        }
+        Some(Self {
+            sampling_rate_hz: of_node.sampling_rate_hz,
+            excitation_channels: of_node
+                .excitation_channels
+                .iter()
+                .map(|channel| channel.map(|own| own + first))
+                .collect(),
+            excitations: of_node.excitations,
+            noise_levels,
+            classes: None,
+            ..self.clone()
+        })
+    }
+
+    /// Returns how many of its channels are observations, for each node.
+    pub(crate) fn observations_by_node(&self) -> Vec<usize> {
+        let of = |position| {
+            let own = self.channels_of(position);
+            self.observation_channels.iter().filter(|channel| own.contains(channel)).count()
+        };
+        (0..self.nodes.len()).map(of).collect()
+    }
+
+    /// Returns the numbers of the channels of a node, in the whole structure.
+    fn channels_of(&self, position: usize) -> std::ops::Range<usize> {
+        let first: usize = self.nodes[..position].iter().map(|node| node.channels().len()).sum();
+        first..first + self.nodes[position].channels().len()
     }
 }
 

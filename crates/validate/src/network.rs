@@ -44,6 +44,8 @@ impl Network<'_> {
     /// Sets the noise of the sensors as it is, for the filter of the node whose first channel is numbered so.
     fn set_noise(&self, first: usize, settings: &mut FilterSettings) {
         settings.noise.sensors.fill(0.0);
+        // a filter that is told samples of others knows the channels of all
+        let first = if settings.noise.sensors.nrows() == self.noise_std.len() { 0 } else { first };
         for channel in 0..settings.noise.sensors.nrows() {
             settings.noise.sensors[(channel, channel)] = self.noise_std[first + channel].powi(2);
         }
@@ -120,11 +122,13 @@ impl Network<'_> {
         Ok(fused)
     }
 
-    /// Runs one filter that has the samples of all nodes; its estimates at the instants of the fusions, by parameter.
+    /// Runs one filter that has the samples of all nodes and screens none of them; its estimates at the instants of the
+    /// fusions, by parameter.
     pub(crate) fn in_one_filter(&self, shares: (f64, f64), run: &Run<'_>) -> Result<Vec<Course>, ValidateError> {
         let structure = self.structure;
         let mut settings = structure.filter_settings().map_err(ValidateError::setting)?;
         self.set_noise(0, &mut settings);
+        settings.outliers = None;
         let mut filter = ExtendedKalmanFilter::new(structure.model(), settings).map_err(ValidateError::setting)?;
         let mut courses = vec![Course::default(); structure.parameters().len()];
         let excitation = vec![0.0; structure.excitations().len()];

@@ -10,12 +10,12 @@ use super::{
 /// Most answers of the station that a node has taken since its last message.
 const MAX_ANSWERS: usize = 64;
 
-/// The motion of the structure in few numbers, each with its variance.
+/// The motion of the structure in few numbers, each with its variance; or some samples of a node, as they are.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MotionNumbers {
-    /// Means.
+    /// Means; or samples by instant and channel, NaN where one is missing.
     pub mean: Vec<f64>,
-    /// Variances, as many, all positive.
+    /// Variances, as many, all positive; none for samples.
     pub variance: Vec<f64>,
 }
 
@@ -69,6 +69,13 @@ pub(super) fn check_density(mean: &[f64], covariance: &[f64]) -> Result<(), Malf
 
 pub(super) fn check_motion(motion: &MotionNumbers) -> Result<(), Malformed> {
     check_count("numbers of motion", motion.mean.len(), 0, MAX_CHANNELS)?;
+    if motion.variance.is_empty() {
+        let is_infinite = |value: &&f64| value.is_infinite();
+        return match motion.mean.iter().find(is_infinite) {
+            Some(value) => check_finite("sample of another node", *value),
+            None => Ok(()),
+        };
+    }
     if motion.variance.len() != motion.mean.len() {
         let (found, expected) = (motion.variance.len(), motion.mean.len());
         return Err(Malformed::Length { what: "variances of motion", found, expected });

@@ -3,6 +3,7 @@
 //! Notation: Huang & Yuen (2023), §6.3.1. `Φ` (N_d × N_m): modes of the nominal model with `Φᵀ M Φ = I`; `u = Φᵀ M x` and
 //! `v = Φᵀ M ẋ`, (6.11) to (6.15). `Φ` and `Φᵀ M` are known everywhere and never sent.
 
+use super::samples::SampleExchange;
 use crate::error::FilterError;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -80,12 +81,13 @@ impl Weights {
 
 /// The motion of a structure in few numbers, each with its variance.
 ///
-/// In modes: `u`, then `v` (2 N_m; kg^½ m, kg^½ m/s). As responses: one for each row of [`Responses`], in its unit.
+/// In modes: `u`, then `v` (2 N_m; kg^½ m, kg^½ m/s). As responses: one for each row of [`Responses`], in its unit. As samples:
+/// by instant and channel, in the units of the sensors, NaN where one is missing, and no variances.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CompressedMotion {
     /// Means.
     pub mean: DVector<f64>,
-    /// Variances, all positive.
+    /// Variances, all positive; none for samples, whose noise is known.
     pub variance: DVector<f64>,
 }
 
@@ -142,6 +144,8 @@ pub enum MotionExchange {
     Modes(ModalBasis),
     /// Each its own responses; of all nodes, in their order.
     Responses(Vec<Responses>),
+    /// Each a few of its samples.
+    Samples(SampleExchange),
 }
 
 impl ModalBasis {

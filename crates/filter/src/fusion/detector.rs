@@ -17,11 +17,13 @@ pub struct GlobalDetector {
     pub exclusion: f64,
     /// Leaves out the farthest node, looks again, and so on: one gross node then makes no other suspicious.
     pub one_at_a_time: bool,
+    /// Fusions in a row in which a node must be regular before it is used again; 1, as in the source, for at once.
+    pub readmission: u32,
 }
 
 impl Default for GlobalDetector {
     fn default() -> Self {
-        Self { screening: 0.95, exclusion: 0.5, one_at_a_time: false }
+        Self { screening: 0.95, exclusion: 0.5, one_at_a_time: false, readmission: 1 }
     }
 }
 

@@ -5,9 +5,11 @@
 
 use super::compression::{CompressedMotion, CovarianceScheme, ModalBasis, MotionExchange};
 use super::gaussian::{Gaussian, Information};
+use super::samples::{SampleExchange, Shared};
 use crate::error::FilterError;
 use crate::extended::{ExtendedKalmanFilter, FilterState, Frame, Step};
 use crate::model::{ObservationModel, ProcessModel};
+use crate::outlier::Verdict;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -43,7 +45,7 @@ pub struct Feedback {
     pub nodes: usize,
     /// The fused motion, where motion is sent in modes.
     pub motion: Option<CompressedMotion>,
-    /// By node: what it sent of its responses, where responses are sent.
+    /// By node: what it sent of its responses or samples, where these are sent.
     pub responses: Vec<Option<CompressedMotion>>,
 }
 
@@ -79,7 +81,7 @@ pub struct LocalEstimate {
     pub parameters: Gaussian,
     /// From which density it started; `None` after it had to start anew, when nothing is to be counted as learnt.
     pub lineage: Option<Lineage>,
-    /// Its motion, in modes or as its own responses, where motion is exchanged.
+    /// Its motion, in modes, as its own responses or as samples, where motion is exchanged.
     pub motion: Option<CompressedMotion>,
 }
 
@@ -136,6 +138,8 @@ pub struct LocalFilter<M> {
     /// what of the coming message's lineage is known; `None` after a new start
     lineage: Option<Lineage>,
     last_answer: u64,
+    /// what it keeps to exchange samples, where nodes do
+    shared: Option<Shared>,
     /// means of the last fused density that was healthy
     fused: Option<DVector<f64>>,
     restarts: u64,
@@ -167,6 +171,23 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
                 Some(_) => nodes.iter().map(|node| node.rows().ncols()).find(|columns| *columns != expected),
                 None => Some(0),
             },
+            MotionExchange::Samples(_) => None,
+        };
+        let shared = match &settings.motion {
+            MotionExchange::Samples(exchange) => {
+                let (found, expected) = (exchange.observations(), filter.observation_len());
+                if found != expected {
+                    return Err(FilterError::Dimension { what: "observations of all nodes", found, expected });
+                }
+                let (steps, instants) = (settings.steps_per_period, exchange.instants());
+                if !steps.is_multiple_of(instants as u64) || settings.position >= exchange.nodes() {
+                    let allowed = "a divisor of the samples in a fusion period, for a node that is there";
+                    let what = "instants of the exchange of samples";
+                    return Err(FilterError::Setting { what, found: instants as f64, allowed });
+                }
+                Some(Shared::new(exchange, settings.position, steps))
+            }
+            _ => None,
         };
         if let Some(found) = moving.filter(|found| *found != expected) {
             return Err(FilterError::Dimension { what: "exchanged motion", found, expected });
@@ -180,16 +201,46 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
             rewind: None,
             lineage: Some(Lineage { own: 0, answers: Vec::new() }),
             last_answer: 0,
+            shared,
             fused: None,
             restarts: 0,
         })
     }
 
-    /// Takes one frame; a filter that diverges starts anew and the frame is lost.
+    /// Takes one frame of the node's own observations; a filter that diverges starts anew and the frame is lost.
     ///
     /// # Errors
     /// When the frame does not fit the model.
     pub fn step(&mut self, frame: Frame<'_>) -> Result<Option<Step>, FilterError> {
+        let Some(mut shared) = self.shared.take() else { return self.step_all(frame) };
+        let (found, expected) = (frame.observations.len(), shared.own.len());
+        if found != expected {
+            self.shared = Some(shared);
+            return Err(FilterError::Dimension { what: "observations of a frame", found, expected });
+        }
+        shared.frame[shared.own.clone()].copy_from_slice(frame.observations);
+        let step = self.step_all(Frame { observations: &shared.frame, ..frame });
+        if let Ok(step) = &step {
+            if step.is_none() {
+                shared.forget();
+            } else if let Some(running) = &mut shared.running {
+                running.frames.push((shared.frame.clone(), frame.excitation.to_vec()));
+            }
+            let steps = self.settings.steps_per_period;
+            let screens = self.filter.outliers().map(|outliers| &outliers.channels()[shared.own.clone()]);
+            let used = |channel: usize| screens.is_none_or(|screens| screens[channel].verdict() == Verdict::Regular);
+            let told = frame.observations.iter().enumerate().map(|(channel, sample)| match used(channel) {
+                true => *sample,
+                false => f64::NAN,
+            });
+            shared.tell((self.counter - 1) % steps + 1, told);
+        }
+        self.shared = Some(shared);
+        step
+    }
+
+    /// Takes one frame of all that the filter observes.
+    fn step_all(&mut self, frame: Frame<'_>) -> Result<Option<Step>, FilterError> {
         self.filter.check_frame(frame)?;
         self.counter += 1;
         let longest = self.settings.steps_per_period as usize;
@@ -231,6 +282,10 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
             MotionExchange::None => None,
             MotionExchange::Modes(basis) => Some(basis.compress(mean, covariance)),
             MotionExchange::Responses(nodes) => Some(nodes[self.settings.position].compress(mean, covariance)),
+            MotionExchange::Samples(_) => self.shared.as_mut().map(|shared| {
+                let told = shared.end_period(index, self.settings.steps_per_period, self.filter.state());
+                CompressedMotion { mean: told.into(), variance: DVector::zeros(0) }
+            }),
         };
         LocalEstimate { index, parameters, lineage, motion }
     }
@@ -287,12 +342,18 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         self.counter += steps;
         self.filter.forget_motion();
         self.rewind = None;
+        self.shared.iter_mut().for_each(Shared::forget);
     }
 
     /// Goes back to the instant of the message, takes the feedback there, and filters again what has come since.
     fn take_then(&mut self, rewind: Rewind, feedback: &Feedback, sent: &Gaussian) -> Result<(), FilterError> {
         let now = self.filter.state().clone();
         let mut taken = self.filter.restore(rewind.state).and_then(|()| self.take_at_once(feedback, sent));
+        if let Some(running) = self.shared.as_mut().and_then(|shared| shared.running.as_mut())
+            && taken.is_ok()
+        {
+            running.state = self.filter.state().clone();
+        }
         for (observations, excitation) in rewind.frames {
             if taken.is_ok() {
                 taken =
@@ -324,7 +385,65 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
                 }
                 Ok(())
             }
+            (_, MotionExchange::Samples(exchange), _) => {
+                let exchange = exchange.clone();
+                let target = self.learn_from_samples(&exchange, feedback, target)?;
+                self.filter.replace_parameters(&target)
+            }
             _ => self.filter.replace_parameters(&target),
+        }
+    }
+
+    /// Filters the period that the answered message has ended once more, with the samples of all nodes; returns `target` with
+    /// what was learnt by that of the parameters. Without such samples everything stays as it is.
+    fn learn_from_samples(
+        &mut self,
+        exchange: &SampleExchange,
+        feedback: &Feedback,
+        target: Gaussian,
+    ) -> Result<Gaussian, FilterError> {
+        let ended = self.shared.as_mut().and_then(|shared| shared.ended.take());
+        let Some((period, every)) = ended.zip(self.shared.as_ref().map(|shared| shared.every as usize)) else {
+            return Ok(target);
+        };
+        if period.index + 1 != feedback.answers {
+            return Ok(target);
+        }
+        let without = self.filter.state().clone();
+        let own = self.filter.parameters();
+        self.filter.restore(period.state)?;
+        let mut filtered = Ok(());
+        for (number, (mut observations, excitation)) in period.frames.into_iter().enumerate() {
+            if (number + 1) % every == 0 {
+                let instant = (number + 1) / every - 1;
+                for (node, told) in feedback.responses.iter().enumerate() {
+                    let Some(told) = told.as_ref().filter(|_| node != self.settings.position) else { continue };
+                    let channels = exchange.channels(node);
+                    if exchange.is_sound(node, told.mean.as_slice()) {
+                        let start = instant * channels.len();
+                        let told = &told.mean.as_slice()[start..start + channels.len()];
+                        observations[channels].copy_from_slice(told);
+                    }
+                }
+            }
+            filtered = filtered.and_then(|()| {
+                let frame = Frame { observations: &observations, excitation: &excitation };
+                self.filter.step(frame).map(|_step| ())
+            });
+        }
+        let learnt = filtered.and_then(|()| {
+            let mut information = target.information()?;
+            information.add(1.0, &self.filter.parameters().information()?);
+            information.add(-1.0, &own.information()?);
+            information.gaussian()
+        });
+        match learnt {
+            Ok(learnt) if is_within(&learnt.mean, &self.settings.healthy) => Ok(learnt),
+            // what others have told does not go with what this node knows: it is left alone
+            Ok(_) | Err(_) => {
+                self.filter.restore(without)?;
+                Ok(target)
+            }
         }
     }
 
@@ -357,6 +476,7 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         }
         self.sent.clear();
         (self.lineage, self.rewind) = (None, None);
+        self.shared.iter_mut().for_each(Shared::forget);
     }
 }
 

@@ -127,7 +127,7 @@ pub struct Fused {
     pub parameters: Gaussian,
     /// The motion, where nodes send it in modes.
     pub motion: Option<CompressedMotion>,
-    /// By node: its responses, where nodes send them and it was fused.
+    /// By node: its responses or samples, where nodes send them and it was fused.
     pub responses: Vec<Option<CompressedMotion>>,
     /// Number of nodes that were fused.
     pub used: usize,
@@ -148,6 +148,8 @@ struct Known {
     shifts: VecDeque<(u64, Gaussian, Gaussian)>,
     /// what has come since the last fusion
     waiting: Option<Waiting>,
+    /// fusions in which it has to be regular yet before it is used again
+    suspended: u32,
 }
 
 #[derive(Debug, Clone)]
@@ -214,15 +216,14 @@ impl Station {
             return Err(Refusal::Dimension);
         }
         let now = message.parameters.information().map_err(|_| Refusal::NoDensity)?;
-        let numbers = match &self.settings.motion {
-            MotionExchange::None => None,
-            MotionExchange::Modes(basis) => Some(2 * basis.modes()),
-            MotionExchange::Responses(nodes) => nodes.get(node).map(|node| node.rows().nrows()),
-        };
-        let motion_is_sound = match (&message.motion, numbers) {
+        let motion_is_sound = match (&message.motion, &self.settings.motion) {
             (None, _) => true,
-            (Some(motion), Some(numbers)) => motion.is_sound(numbers),
-            (Some(_), None) => false,
+            (Some(_), MotionExchange::None) => false,
+            (Some(motion), MotionExchange::Modes(basis)) => motion.is_sound(2 * basis.modes()),
+            (Some(motion), MotionExchange::Responses(nodes)) => {
+                nodes.get(node).is_some_and(|node| motion.is_sound(node.rows().nrows()))
+            }
+            (Some(motion), MotionExchange::Samples(exchange)) => exchange.is_sound(node, motion.mean.as_slice()),
         };
         if !(motion_is_sound && at.is_finite()) {
             return Err(Refusal::NoDensity);
@@ -320,7 +321,7 @@ impl Station {
         }
         let motion = self.fuse_motion(&used, &waiting);
         let mut responses = Vec::new();
-        if let MotionExchange::Responses(_) = self.settings.motion {
+        if let MotionExchange::Responses(_) | MotionExchange::Samples(_) = self.settings.motion {
             responses.resize(nodes.len(), None);
             for index in &used {
                 responses[*index] = waiting[*index].as_ref().and_then(|waiting| waiting.motion.clone());
@@ -330,13 +331,16 @@ impl Station {
         Fused { parameters, motion, responses, used: used.len(), nodes, feedback, started_anew }
     }
 
-    fn judge(&self, heard: &[usize], nodes: &mut [NodeReport]) {
+    fn judge(&mut self, heard: &[usize], nodes: &mut [NodeReport]) {
         let Some(detector) = &self.settings.detector else { return };
+        let readmission = detector.readmission.max(1);
         let densities: Vec<&Gaussian> =
             heard.iter().filter_map(|index| self.known[*index].own.as_ref().map(|(_, density)| density)).collect();
         for (index, NodeDistance { distance, excluded }) in heard.iter().zip(detector.judge(&densities)) {
+            let suspended = &mut self.known[*index].suspended;
+            *suspended = if excluded { readmission } else { suspended.saturating_sub(1) };
             nodes[*index].distance = Some(distance);
-            nodes[*index].excluded = excluded;
+            nodes[*index].excluded = *suspended > 0;
         }
     }
 

@@ -32,10 +32,14 @@ enum Motion {
     None,
     Modes,
     Responses,
+    Samples,
 }
 
-const MOTIONS: [(&str, Motion); 3] =
-    [("none", Motion::None), ("modes", Motion::Modes), ("responses", Motion::Responses)];
+const MOTIONS: [(&str, Motion); 4] =
+    [("none", Motion::None), ("modes", Motion::Modes), ("responses", Motion::Responses), ("samples", Motion::Samples)];
+
+/// Instants of a fusion period at which nodes tell one another samples, unless the file says otherwise.
+const SAMPLES: usize = 10;
 
 #[derive(Clone, Copy, PartialEq)]
 enum Detector {
@@ -51,7 +55,8 @@ const DETECTORS: [(&str, Detector); 3] =
 const RATE_HZ: f64 = 1.0;
 
 /// Stricter than the source: nodes that share what they know differ a little more than independent ones.
-const DETECTOR: GlobalDetector = GlobalDetector { screening: 0.999, exclusion: 0.5, one_at_a_time: true };
+const DETECTOR: GlobalDetector =
+    GlobalDetector { screening: 0.999, exclusion: 0.5, one_at_a_time: true, readmission: 3 };
 
 /// Periods after which a message is too old: Huang & Yuen (2023), chapter 7.
 const STALE_PERIODS: f64 = 3.0;
@@ -75,9 +80,11 @@ pub(super) fn read_fusion(
                 "covariance",
                 "motion",
                 "modes",
+                "samples-per-period",
                 "detector",
                 "screening",
                 "exclusion",
+                "readmission",
                 "stale-periods",
             ]);
             section.finish();
@@ -118,16 +125,33 @@ pub(super) fn read_fusion(
     }
     let feedback = section.choice("feedback", &FEEDBACKS);
     plan.feedback = feedback.as_ref().map_or(plan.feedback, |feedback| *feedback.get_ref());
+    let feedback_span = feedback.as_ref().map(Spanned::span);
     if let Some(full) = section.choice("covariance", &COVARIANCES) {
         plan.covariance = if full.into_inner() { CovarianceScheme::Full } else { CovarianceScheme::Identity };
     }
     let motion = section.choice("motion", &MOTIONS).map_or(Motion::None, Spanned::into_inner);
     let modes = section.whole("modes", 1, 10_000);
+    let samples = section.whole("samples-per-period", 1, 10_000);
     plan.motion = match motion {
         Motion::None => MotionPlan::None,
         Motion::Modes => MotionPlan::Modes(modes.as_ref().map(|modes| *modes.get_ref())),
         Motion::Responses => MotionPlan::Responses,
+        Motion::Samples => MotionPlan::Samples(samples.as_ref().map_or(SAMPLES, |samples| *samples.get_ref())),
     };
+    if let (MotionPlan::Samples(instants), Some(rate_hz)) = (plan.motion, rate_hz) {
+        let rates = nodes.iter().map(|node| node.sampling_rate_hz().unwrap_or(rate_hz));
+        let uneven = |rate_hz: &f64| !((rate_hz / plan.rate_hz).round() as u64).is_multiple_of(instants as u64);
+        if let Some(rate_hz) = rates.chain([rate_hz]).find(uneven) {
+            let span = samples.as_ref().map_or(section.span(), Spanned::span);
+            let allowed =
+                format!("must divide the samples of a node in a fusion period, such as {}", rate_hz / plan.rate_hz);
+            section.diagnostics().report(span, section.key("samples-per-period"), format!("is {instants}"), allowed);
+        }
+    }
+    if let Some(samples) = samples.filter(|_| motion != Motion::Samples) {
+        let allowed = "must not be given unless motion = \"samples\"";
+        section.diagnostics().report(samples.span(), section.key("samples-per-period"), "is given", allowed);
+    }
     if let Some(modes) = modes.filter(|_| motion != Motion::Modes) {
         let allowed = "must not be given unless motion = \"modes\"";
         section.diagnostics().report(modes.span(), section.key("modes"), "is given", allowed);
@@ -138,11 +162,21 @@ pub(super) fn read_fusion(
         let allowed = "must stand beside motion = \"modes\", from which the motion is set anew";
         section.diagnostics().report(feedback.span(), section.key("feedback"), "is \"reset\"", allowed);
     }
+    if plan.feedback == FeedbackRule::None
+        && motion == Motion::Samples
+        && let Some(span) = &feedback_span
+    {
+        let allowed = "must not be \"none\" beside motion = \"samples\", which come with the answers";
+        section.diagnostics().report(span.clone(), section.key("feedback"), "is \"none\"", allowed);
+    }
     let detector = section.choice("detector", &DETECTORS).map_or(Detector::OneAtATime, Spanned::into_inner);
     let found = GlobalDetector {
         screening: section.number_or("screening", Allowed::INSIDE_UNIT, DETECTOR.screening),
         exclusion: section.number_or("exclusion", Allowed::INSIDE_UNIT, DETECTOR.exclusion),
         one_at_a_time: detector == Detector::OneAtATime,
+        readmission: section
+            .whole("readmission", 1, 10_000)
+            .map_or(DETECTOR.readmission, |fusions| *fusions.get_ref() as u32),
     };
     plan.detector = (detector != Detector::None).then_some(found);
     plan.stale_periods = section.number_or("stale-periods", Allowed::FROM_ONE, STALE_PERIODS);
@@ -173,3 +207,6 @@ fn check_rate(
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,7 +1,7 @@
 //! Chapter 6, §6.4: a forty-storey building and a bridge whose sensor nodes identify for themselves.
 //!
 //! Required is what the page's own runs hold at a reduced rate, for the same rule at the published rate; beside it stand the
-//! centralised filter on the same record, the published rule, and nodes that tell one another their responses.
+//! centralised filter on the same record, the published rule, and nodes that tell one another ten samples a second.
 
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -92,9 +92,9 @@ fn variant(text: &str, rate_hz: f64, damages: [f64; 2], fusion: &str) -> String 
 fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
     let (rate_hz, seconds, damages) = run.pick(example.full, example.quick);
     let modes = format!("motion = \"modes\"\nmodes = {}", example.traffic.0);
-    let [marginal, responses, published] = [
+    let [marginal, samples, published] = [
         modes.clone(),
-        "motion = \"responses\"".to_owned(),
+        "motion = \"samples\"".to_owned(),
         format!("{modes}\nrule = \"published\"\nfeedback = \"reset\""),
     ]
     .map(|fusion| variant(example.text, rate_hz, damages, &fusion));
@@ -107,7 +107,7 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
         scene.network(&data).fuse(shares, run, |_, _, _| {})
     };
     let by_marginal = fuse(&scene, (0.0, 0.4))?;
-    let with_responses = fuse(&simulate(&responses, seconds)?, (0.4, 0.8))?;
+    let with_samples = fuse(&simulate(&samples, seconds)?, (0.4, 0.8))?;
     let as_published = fuse(&simulate(&published, seconds.min(30.0))?, (0.8, 0.85))?;
     let data = |frame: usize, channel: usize| scene.data(frame)[channel];
     let central = scene.network(&data).in_one_filter((0.85, 1.0), run)?;
@@ -138,7 +138,7 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
     ]);
     let judged = |required: Required| run.pick(required, Required::Reported);
     let mut error_of = Vec::new();
-    for (name, fused) in [("densities", &by_marginal.courses), ("densities and responses", &with_responses.courses)] {
+    for (name, fused) in [("densities", &by_marginal.courses), ("densities and samples", &with_samples.courses)] {
         let errors: Vec<f64> =
             fused[..example.groups].iter().map(|course| course.accuracy(COUNTED_FROM_S).rms_error()).collect();
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
@@ -186,7 +186,7 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
             Required::Reported,
         ),
         Figure::new(
-            "densities and responses: error over that of one filter with all samples",
+            "densities and samples: error over that of one filter with all samples",
             error_of[1] / centrally,
             judged(Required::AtMost(example.ratio)),
         ),
@@ -207,8 +207,8 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
             "ratio to nominal",
             (0.85, 1.1),
         ));
-        plots.push(with_responses.courses[group].plot(
-            &format!("{name}, fused densities and responses"),
+        plots.push(with_samples.courses[group].plot(
+            &format!("{name}, fused densities and samples"),
             "ratio to nominal",
             (0.85, 1.1),
         ));

@@ -320,3 +320,32 @@ fn a_message_after_a_lost_one_counts_no_information_twice() {
         }
     }
 }
+
+#[test]
+fn a_node_that_was_wrong_is_used_again_after_so_many_regular_fusions() {
+    for (readmission, expected) in [(1, [true, false, false, false]), (3, [true, true, true, false])] {
+        let mut station = station(4, FusionRule::default(), FeedbackRule::Marginal);
+        station.settings.detector =
+            Some(GlobalDetector { readmission, one_at_a_time: true, ..GlobalDetector::default() });
+        let mut found = Vec::new();
+        for index in 1..=4_u64 {
+            for node in 0..4 {
+                let wrong = if node == 2 && index == 1 { 1.0 } else { 0.0 };
+                let message = LocalEstimate {
+                    index,
+                    parameters: Gaussian {
+                        mean: DVector::from_row_slice(&[1.0 + wrong, 1.0]),
+                        covariance: DMatrix::from_diagonal_element(2, 2, 1e-3),
+                    },
+                    lineage: None,
+                    motion: None,
+                };
+                station.receive(node, message, index as f64).unwrap();
+            }
+            let fused = station.fuse(index as f64);
+            assert!(fused.nodes.iter().enumerate().all(|(node, report)| node == 2 || !report.excluded));
+            found.push(fused.nodes[2].excluded);
+        }
+        assert_eq!(found, expected);
+    }
+}

@@ -1,0 +1,60 @@
+use crate::Structure;
+use spandrel_filter::fusion::FeedbackRule;
+use std::path::Path;
+
+const FILE: &str = include_str!("../../../../../docs/examples/forty-storey-building.toml");
+
+/// The file with another `[fusion]`.
+fn with(fusion: &str) -> Result<Structure, String> {
+    let (start, end) = (FILE.find("[fusion]").unwrap(), FILE.find("[simulation]").unwrap());
+    let text = format!("{}[fusion]\n{fusion}\n\n{}", &FILE[..start], &FILE[end..]);
+    Structure::parse(&text, Path::new("building.toml")).map_err(|error| error.to_string())
+}
+
+#[test]
+fn nodes_that_tell_samples_see_the_channels_of_all() {
+    let structure = with("motion = \"samples\"\nsamples-per-period = 5").unwrap();
+    // 10 parameters: 65 numbers of the density; 5 instants of two channels each way, of sixteen nodes
+    assert_eq!(structure.numbers_per_period(3), Some((65 + 10, 65 + 150)));
+    let node = structure.local_filter(3).unwrap().unwrap();
+    assert_eq!(node.filter().observation_len(), 32);
+    assert!(structure.fusion().unwrap().passes_motion_on());
+    let structure = with("motion = \"samples\"").unwrap();
+    assert_eq!(structure.numbers_per_period(0), Some((65 + 20, 65 + 300)));
+}
+
+#[test]
+fn defaults_tell_nothing_of_the_motion() {
+    let structure = with("rate-hz = 2").unwrap();
+    let plan = structure.fusion().unwrap();
+    assert_eq!((plan.rate_hz(), plan.feedback(), plan.passes_motion_on()), (2.0, FeedbackRule::Marginal, false));
+    assert_eq!(structure.local_filter(3).unwrap().unwrap().filter().observation_len(), 2);
+}
+
+#[test]
+fn bad_input_names_the_key_and_what_is_allowed() {
+    for (fusion, expected) in [
+        ("rate-hz = 3", "fusion.rate-hz: is 3, must be the sampling rate of each node, such as 250"),
+        (
+            "motion = \"samples\"\nsamples-per-period = 3",
+            "fusion.samples-per-period: is 3, must divide the samples of a node",
+        ),
+        (
+            "samples-per-period = 5",
+            "fusion.samples-per-period: is given, must not be given unless motion = \"samples\"",
+        ),
+        ("modes = 5", "fusion.modes: is given, must not be given unless motion = \"modes\""),
+        (
+            "motion = \"samples\"\nfeedback = \"none\"",
+            "fusion.feedback: is \"none\", must not be \"none\" beside motion",
+        ),
+        ("feedback = \"reset\"", "fusion.feedback: is \"reset\", must stand beside motion = \"modes\""),
+        ("rule = \"published\"\nsharing-factor = 2", "fusion.sharing-factor: is given, must not stand beside rule"),
+        ("sharing-factor = 0.5", "fusion.sharing-factor: is 0.5"),
+        ("motion = \"all\"", "fusion.motion: is \"all\""),
+        ("screening = 1.5", "fusion.screening: is 1.5"),
+    ] {
+        let error = with(fusion).err().unwrap_or_else(|| panic!("accepted: {fusion}"));
+        assert!(error.contains(expected), "{fusion}: {error}");
+    }
+}
