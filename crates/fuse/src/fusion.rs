@@ -166,6 +166,7 @@ impl Fusion {
                 }
             }
             Input::Tick(now_ns) => {
+                self.follow_clock(now_ns);
                 if self.is_live() && self.due_ns.is_some_and(|due_ns| now_ns >= due_ns) {
                     let periods = self.periods(now_ns);
                     self.fuse(periods, now_ns, outputs);
@@ -231,6 +232,16 @@ impl Fusion {
     /// Time on the station's clock, in fusion periods since its first message.
     fn periods(&self, now_ns: i64) -> f64 {
         self.begun_ns.map_or(0.0, |begun| now_ns.saturating_sub(begun).max(0) as f64 * 1e-9 * self.rate_hz)
+    }
+
+    /// Goes on from where it was when the clock has been set back by more than a period.
+    fn follow_clock(&mut self, now_ns: i64) {
+        let Some((begun_ns, due_ns)) = self.begun_ns.as_mut().zip(self.due_ns.as_mut()) else { return };
+        let ahead_ns = due_ns.saturating_sub(now_ns);
+        if ahead_ns as f64 * 1e-9 * self.rate_hz > 1.0 {
+            *begun_ns = begun_ns.saturating_sub(ahead_ns);
+            *due_ns = now_ns;
+        }
     }
 
     /// Whether fusions follow the station's clock: a single node that measures does not wait for those that replay, so that no

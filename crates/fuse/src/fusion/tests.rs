@@ -204,3 +204,24 @@ fn messages_that_come_a_third_of_a_period_early_or_late_are_heard_in_each_fusion
     let heard: Vec<bool> = estimates(&outputs).iter().map(|block| !block.estimates[0].flags.prediction_only).collect();
     assert_eq!(heard, [true; 5]);
 }
+
+/// Broke: no fusion until the clock had come to where it had been.
+#[test]
+fn a_clock_that_is_set_back_does_not_stop_the_fusions() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    let mut outputs = Vec::new();
+    for index in 1..=6 {
+        let hour_ns = if index > 3 { 3600 * SECOND_NS } else { 0 };
+        let arrived_ns = 10_000 * SECOND_NS + index * SECOND_NS - hour_ns;
+        let message = message(3, index as u64, Pace::Live, 0.95);
+        fusion.handle(Input::Local { node: 0, message, bytes: 500, arrived_ns }, &mut outputs);
+        for tick in 0..20 {
+            fusion.handle(Input::Tick(arrived_ns + tick * SECOND_NS / 20), &mut outputs);
+        }
+    }
+    // half a second after the messages; at once when the clock has gone back, and then a period later
+    let half_ns = SECOND_NS / 2;
+    let blocks = estimates(&outputs);
+    let between = blocks.windows(2).map(|pair| (pair[1].header.time_ns - pair[0].header.time_ns) / half_ns);
+    assert_eq!(between.collect::<Vec<_>>(), [2, 2, 1 - 2 * 3600, 2, 2]);
+}
