@@ -154,6 +154,8 @@ fn what_cannot_be_distributed_is_told() {
     run("identify", &demo(&[]), &["--node", "floor-7", "--listen", &endpoint])
         .expect_code(2)
         .expect_told(&["floor-7", "floor-8"]);
+    run("simulate", &demo(&[]), &["--live", "--node", "floor-7"]).expect_code(2).expect_told(&["floor-7", "floor-8"]);
+    run("simulate", &demo(&[]), &["--start", "1763730000"]).expect_code(2).expect_told(&["--live"]);
     run("check", &demo(&[("rate-hz = 1\n", "rate-hz = 3\n")]), &[])
         .expect_code(2)
         .expect_told(&["fusion.rate-hz", "50"]);
