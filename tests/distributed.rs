@@ -10,7 +10,8 @@ mod support;
 use spandrel_bus::{AlertMessage, AlertState, Event, EventKind, LocalMessage, NodeDisplay, NodeHealth, Service};
 use std::collections::BTreeMap;
 use std::path::Path;
-use support::{EstimateReader, Process, Site, assert_same_bits, spandrel, within};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use support::{DEADLINE, EstimateReader, Process, Site, assert_same_bits, spandrel, within};
 
 fn demo(pairs: &[(&str, &str)]) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo-distributed.toml");
@@ -110,6 +111,35 @@ async fn a_wrong_node_is_left_out_and_the_damaged_storey_named() {
     }
 }
 
+/// Broke: a worker that was started again learnt from all that its sensor still kept, and the station counted it twice.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_begins_with_the_live_samples_that_are_measured_when_it_starts() {
+    let site = Site::with(&demo(&[]));
+    let station = Process::start(&mut site.listening("fuse"));
+    station.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    let local = bus.subscribe::<LocalMessage>(site.keys().all_local(), 1 << 10).await.unwrap();
+    let buffer = site.keys().buffer(&"floor-1".parse().unwrap());
+    let mut sensor = site.connecting("simulate");
+    let _sensor = Process::start(sensor.args(["--live", "--node", "floor-1"]));
+    // five seconds of samples wait for whoever begins at the first
+    let kept = async {
+        while bus.stream_position(&buffer, DEADLINE).await.is_none_or(|at| at.header.sequence < 250) {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    };
+    within("samples of the sensor", kept).await;
+    #[expect(clippy::disallowed_methods, reason = "live samples bear the time of the clock on the wall")]
+    let before_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos() as i64;
+    let _worker = Process::start(site.connecting("identify").args(["--node", "floor-1"]));
+    let (_, first) = within("message of the worker", local.messages().recv_async()).await.unwrap();
+    let seconds = (first.header.time_ns - before_ns) as f64 * 1e-9;
+    assert!(
+        seconds > 0.5,
+        "the first message is of {seconds:.2} s after the start, and should be of a period after it"
+    );
+}
+
 #[test]
 fn what_cannot_be_distributed_is_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -124,6 +154,8 @@ fn what_cannot_be_distributed_is_told() {
     run("identify", &demo(&[]), &["--node", "floor-7", "--listen", &endpoint])
         .expect_code(2)
         .expect_told(&["floor-7", "floor-8"]);
+    run("simulate", &demo(&[]), &["--live", "--node", "floor-7"]).expect_code(2).expect_told(&["floor-7", "floor-8"]);
+    run("simulate", &demo(&[]), &["--start", "1763730000"]).expect_code(2).expect_told(&["--live"]);
     run("check", &demo(&[("rate-hz = 1\n", "rate-hz = 3\n")]), &[])
         .expect_code(2)
         .expect_told(&["fusion.rate-hz", "50"]);

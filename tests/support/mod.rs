@@ -6,6 +6,7 @@
 mod building;
 mod drops;
 mod estimates;
+mod lab;
 mod process;
 mod record;
 mod sensors;
@@ -14,6 +15,7 @@ mod site;
 pub use building::{five_storeys, storeys, two_storeys};
 pub use drops::Drops;
 pub use estimates::{EstimateReader, Estimated, Identified, assert_same_bits, identified};
+pub use lab::{Lab, Link};
 pub use process::{Finished, Process, spandrel};
 pub use record::Record;
 pub use sensors::{Node, Sensors, put_raw};

@@ -16,6 +16,10 @@ use std::collections::BTreeMap;
 /// A node that has been left out in this share of its fusions, and a node that comes back from it, are worth an event.
 const OFTEN: f64 = 0.5;
 
+/// Where the first message of live nodes lies within its fusion period. In the middle: nodes that began together send together,
+/// and jitter of the network must not decide which fusion hears them.
+const FIRST_MESSAGE_AT: f64 = 0.5;
+
 /// Fusions over which that share is taken.
 const SHARE_MEMORY: f64 = 20.0;
 
@@ -88,7 +92,7 @@ pub struct Fusion {
     distance_limit: Option<f64>,
     /// time of fusion 0, ns
     t0_ns: Option<i64>,
-    /// station's clock at the first message, and at the next fusion of live nodes
+    /// station's clock at the start of the period of the first message, and at the next fusion of live nodes
     begun_ns: Option<i64>,
     due_ns: Option<i64>,
     done: u64,
@@ -162,6 +166,7 @@ impl Fusion {
                 }
             }
             Input::Tick(now_ns) => {
+                self.follow_clock(now_ns);
                 if self.is_live() && self.due_ns.is_some_and(|due_ns| now_ns >= due_ns) {
                     let periods = self.periods(now_ns);
                     self.fuse(periods, now_ns, outputs);
@@ -229,8 +234,21 @@ impl Fusion {
         self.begun_ns.map_or(0.0, |begun| now_ns.saturating_sub(begun).max(0) as f64 * 1e-9 * self.rate_hz)
     }
 
+    /// Goes on from where it was when the clock has been set back by more than a period.
+    fn follow_clock(&mut self, now_ns: i64) {
+        let Some((begun_ns, due_ns)) = self.begun_ns.as_mut().zip(self.due_ns.as_mut()) else { return };
+        let ahead_ns = due_ns.saturating_sub(now_ns);
+        if ahead_ns as f64 * 1e-9 * self.rate_hz > 1.0 {
+            *begun_ns = begun_ns.saturating_sub(ahead_ns);
+            *due_ns = now_ns;
+        }
+    }
+
+    /// Whether fusions follow the station's clock: a single node that measures does not wait for those that replay, so that no
+    /// message of one node can hold up the others.
     fn is_live(&self) -> bool {
-        !self.nodes.iter().any(|node| node.heard_ever && node.pace == Pace::Replayed)
+        let heard = |pace| self.nodes.iter().filter(move |node| node.heard_ever && node.pace == pace);
+        heard(Pace::Live).any(|node| !node.is_over()) || heard(Pace::Replayed).next().is_none()
     }
 
     /// Returns the period that all replaying nodes that are there have reached, if it is a new one.
@@ -262,11 +280,10 @@ impl Fusion {
             (node.epoch, node.last, node.ended) = (message.header.epoch, None, false);
             self.ended = false;
         }
-        (node.pace, node.heard_ever, node.restarts) = (message.pace, true, message.restarts);
-        let begun_ns = *self.begun_ns.get_or_insert(arrived_ns);
-        if message.pace == Pace::Live && self.due_ns.is_none() {
-            self.due_ns = Some(begun_ns + (1e9 / self.rate_hz) as i64);
-        }
+        let begun_ns = *self.begun_ns.get_or_insert_with(|| {
+            let phase_ns = (FIRST_MESSAGE_AT / self.rate_hz * 1e9) as i64;
+            arrived_ns.saturating_sub(phase_ns)
+        });
         let index = message.header.sequence;
         if let Some(density) = message.density {
             let lineage = density.lineage.map(|lineage| Lineage { own: lineage.own, answers: lineage.answers });
@@ -290,6 +307,10 @@ impl Fusion {
             }
             node.messages += 1;
             node.last = Some((index, message.header.time_ns));
+        }
+        (node.pace, node.heard_ever, node.restarts) = (message.pace, true, message.restarts);
+        if message.pace == Pace::Live && self.due_ns.is_none() {
+            self.due_ns = Some(begun_ns + (1e9 / self.rate_hz) as i64);
         }
         if message.state == StreamState::Ended {
             node.ended = true;

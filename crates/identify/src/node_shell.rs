@@ -5,8 +5,8 @@ use crate::node::{NodeIdentification, NodeInput, NodeOutput};
 use crate::pool::FilterPool;
 use crate::shell::log_event;
 use spandrel_bus::{
-    Bus, Delivery, DisplayPublisher, Event, FeedbackMessage, Keys, LiveToken, LocalMessage, Name, SampleBlock, Service,
-    Start, Status, Stream, Subscription,
+    Block, Bus, Delivery, DisplayPublisher, Event, FeedbackMessage, Keys, LiveToken, LocalMessage, Name, Pace,
+    SampleBlock, Service, Start, Status, Stream, Subscription,
 };
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
@@ -23,6 +23,9 @@ const LAST_SAMPLES: Duration = Duration::from_millis(100);
 /// Replayed samples wait so long for an answer of the station.
 const ANSWER_WITHIN: Duration = Duration::from_secs(10);
 
+/// Time for the sensor to say where its samples stand.
+const POSITION_TIMEOUT: Duration = Duration::from_secs(2);
+
 /// Answers that wait for the node; only the newest counts.
 const ANSWERS_WAITING: usize = 4;
 
@@ -32,6 +35,10 @@ pub struct NodeService {
     core: Option<NodeIdentification>,
     pool: FilterPool,
     samples: Stream<SampleBlock>,
+    bus: Bus,
+    buffer_key: String,
+    /// epoch and number of the first live sample that is filtered; none before there was one
+    begins_at: Option<(u64, u64)>,
     feedback: Subscription<FeedbackMessage>,
     local: DisplayPublisher<LocalMessage>,
     events: DisplayPublisher<Event>,
@@ -64,6 +71,9 @@ impl NodeService {
         let samples = bus.follow(keys.samples(&node), keys.buffer(&node), settings).await?;
         let service = Self {
             samples,
+            bus: bus.clone(),
+            buffer_key: keys.buffer(&node),
+            begins_at: None,
             pool,
             feedback: bus.subscribe(keys.feedback(&node), ANSWERS_WAITING).await?,
             local: bus.publish_display(keys.local(&node)).await?,
@@ -120,6 +130,7 @@ impl NodeService {
 
     async fn take_delivery(&mut self, delivery: Delivery<SampleBlock>) -> Result<(), IdentifyError> {
         match delivery {
+            Delivery::Block(block) if self.was_before(&block).await => Ok(()),
             Delivery::Block(block) => self.take(NodeInput::Samples(block)).await,
             // the next block tells by its time how much is missing
             Delivery::Gap(gap) => {
@@ -127,6 +138,23 @@ impl NodeService {
                 Ok(())
             }
         }
+    }
+
+    /// Whether live samples were measured before this worker was there: the station may have learnt from them by an earlier one, and
+    /// would count them twice.
+    async fn was_before(&mut self, block: &SampleBlock) -> bool {
+        if block.pace == Pace::Replayed {
+            return false;
+        }
+        let (epoch, sequence) = match self.begins_at {
+            Some(place) => place,
+            None => {
+                let position = self.bus.stream_position(&self.buffer_key, POSITION_TIMEOUT).await;
+                // a sensor that keeps no samples sends none of before
+                *self.begins_at.insert(position.map_or((0, 0), |at| (at.header.epoch, at.header.sequence)))
+            }
+        };
+        block.header.epoch == epoch && block.end() <= sequence
     }
 
     async fn take(&mut self, input: NodeInput) -> Result<(), IdentifyError> {

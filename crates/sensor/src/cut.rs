@@ -20,8 +20,10 @@ pub struct NodePlan {
     pub sampling_rate_hz: f64,
     /// Whether it is slower than the rows: rows without a sample of it are then no missing samples.
     pub pace: NodePace,
-    /// How far its clock is ahead, ns.
+    /// How far its clock is ahead at the first row, ns.
     pub clock_offset_ns: i64,
+    /// How much faster it runs, parts per million.
+    pub clock_drift_ppm: f64,
 }
 
 /// How a node is sampled, compared with the rows.
@@ -34,26 +36,34 @@ pub enum NodePace {
 }
 
 impl NodePlan {
-    /// The nodes of a structure, with the clock offsets of its simulation if `simulated`.
+    /// The nodes of a structure, with the clocks of its simulation or with right ones.
     ///
     /// # Errors
     /// A node's name is no chunk of a key expression.
     pub fn of(structure: &Structure, clocks: Clocks) -> Result<Vec<Self>, NameError> {
-        let offsets = structure.simulation().clock_offsets_s();
+        let simulated = |all: &[f64], index: usize| match clocks {
+            Clocks::Right => 0.0,
+            Clocks::AsSimulated => all.get(index).copied().unwrap_or(0.0),
+        };
+        let simulation = structure.simulation();
         let nodes = structure.nodes().iter().enumerate().map(|(index, node)| {
-            let offset_s = match clocks {
-                Clocks::Right => 0.0,
-                Clocks::AsSimulated => offsets.get(index).copied().unwrap_or(0.0),
-            };
             Ok(Self {
                 name: Name::new(node.name())?,
                 channels: node.channels().len() as u16, // a structure has far fewer
                 sampling_rate_hz: node.sampling_rate_hz().unwrap_or(structure.sampling_rate_hz()),
                 pace: node.sampling_rate_hz().map_or(NodePace::EveryRow, |_| NodePace::Slower),
-                clock_offset_ns: (offset_s * 1e9).round() as i64,
+                clock_offset_ns: (simulated(simulation.clock_offsets_s(), index) * 1e9).round() as i64,
+                clock_drift_ppm: simulated(simulation.clock_drifts_ppm(), index),
             })
         });
         nodes.collect()
+    }
+
+    /// Returns how far its clock is ahead so long after the first row, ns.
+    #[must_use]
+    pub fn clock_ahead_ns(&self, elapsed_ns: i64) -> i64 {
+        let drifted_ns = (elapsed_ns as f64 * self.clock_drift_ppm * 1e-6).round() as i64;
+        self.clock_offset_ns.saturating_add(drifted_ns)
     }
 }
 
@@ -75,6 +85,8 @@ pub struct Cutter {
     open: Vec<SampleBlock>,
     /// Most samples of a block, per node.
     block_samples: Vec<u64>,
+    /// Time of the first row, ns.
+    first_ns: Option<i64>,
 }
 
 impl Cutter {
@@ -93,7 +105,14 @@ impl Cutter {
         let fastest_hz = nodes.iter().map(|node| node.sampling_rate_hz).fold(0.0, f64::max);
         let of_node = |node: &NodePlan| ((block_samples as f64 * node.sampling_rate_hz / fastest_hz) as u64).max(1);
         let block_samples = nodes.iter().map(of_node).collect();
-        Self { open: open.collect(), nodes, block_samples }
+        Self { open: open.collect(), nodes, block_samples, first_ns: None }
+    }
+
+    /// Makes the blocks say this of their samples, in place of [`Pace::Replayed`].
+    #[must_use]
+    pub fn with_pace(mut self, pace: Pace) -> Self {
+        self.open.iter_mut().for_each(|block| block.pace = pace);
+        self
     }
 
     /// The nodes.
@@ -106,6 +125,7 @@ impl Cutter {
     ///
     /// Channels that the row lacks are missing.
     pub fn push(&mut self, time_ns: i64, values: &[f64], blocks: &mut Vec<(usize, SampleBlock)>) {
+        let elapsed_ns = time_ns.saturating_sub(*self.first_ns.get_or_insert(time_ns));
         let mut values = values.iter().copied().chain(std::iter::repeat(f64::NAN));
         let nodes = self.nodes.iter().zip(&mut self.open).zip(&self.block_samples);
         for (index, ((node, open), block_samples)) in nodes.enumerate() {
@@ -113,7 +133,7 @@ impl Cutter {
             if node.pace == NodePace::Slower && sample.iter().all(|value| value.is_nan()) {
                 continue;
             }
-            let time_ns = time_ns.saturating_add(node.clock_offset_ns);
+            let time_ns = time_ns.saturating_add(node.clock_ahead_ns(elapsed_ns));
             let full = open.count() >= *block_samples;
             if open.count() > 0 && (full || !continues(open, time_ns)) {
                 let next = empty_after(open);
@@ -165,6 +185,7 @@ mod tests {
             sampling_rate_hz: 200.0,
             pace: NodePace::EveryRow,
             clock_offset_ns: 0,
+            clock_drift_ppm: 0.0,
         }
     }
 
@@ -236,6 +257,16 @@ mod tests {
         let ahead = NodePlan { clock_offset_ns: 7, ..node("b", 1) };
         let blocks = cut(vec![node("a", 1), ahead], 10, &[(100, vec![1.0, 2.0])]);
         assert_eq!((blocks[0].1.header.time_ns, blocks[1].1.header.time_ns), (100, 107));
+    }
+
+    #[test]
+    fn a_clock_that_runs_fast_moves_the_blocks_of_its_node_further_and_further() {
+        let fast = NodePlan { clock_offset_ns: 7, clock_drift_ppm: 50.0, ..node("b", 1) };
+        let rows: Vec<_> = (0..40).map(|n| (1000 + n * STEP, vec![0.0, 0.0])).collect();
+        let blocks = cut(vec![node("a", 1), fast], 20, &rows);
+        let times = |node| of_node(&blocks, node).iter().map(|block| block.header.time_ns).collect::<Vec<_>>();
+        // 20 samples of 5 ms are 100 ms, of which 50 ppm are 5 µs
+        assert_eq!((times(0), times(1)), (vec![1000, 100_001_000], vec![1007, 100_006_007]));
     }
 
     #[test]

@@ -12,6 +12,7 @@
 //!     sampling_rate_hz: 200.0,
 //!     pace: NodePace::EveryRow,
 //!     clock_offset_ns: 0,
+//!     clock_drift_ppm: 0.0,
 //! };
 //! let mut cutter = Cutter::new(vec![node], 1, 100);
 //! let mut blocks = Vec::new();

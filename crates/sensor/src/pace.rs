@@ -12,6 +12,8 @@ pub enum Speed {
     Factor(f64),
     /// As fast as it is identified.
     Max,
+    /// As it is measured: a row is due when the clock on the wall shows its time, and waits for nobody.
+    Live,
 }
 
 impl Speed {
@@ -23,6 +25,7 @@ impl Speed {
                 let seconds = time_ns.saturating_sub(first_ns).max(0) as f64 * 1e-9 / factor;
                 Duration::try_from_secs_f64(seconds).ok()
             }
+            Self::Live => Self::Factor(1.0).due(first_ns, time_ns),
             Self::Max => None,
         }
     }
@@ -153,5 +156,6 @@ mod tests {
         let second = 1_000_000_000;
         assert_eq!(Speed::Factor(10.0).due(0, 5 * second), Some(Duration::from_millis(500)));
         assert_eq!(Speed::Max.due(0, 5 * second), None);
+        assert_eq!(Speed::Live.due(second, 5 * second), Some(Duration::from_secs(4)));
     }
 }

@@ -1,11 +1,11 @@
 //! Puts the blocks of simulated or replayed nodes on the bus.
 
 use std::future::Future;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use spandrel_bus::{
-    Block, Bus, Keys, LiveToken, NumberedPublisher, NumberedStream, Progress, ProgressWatch, SampleBlock, Service,
-    StreamState, TimeGrid,
+    Block, Bus, Keys, LiveToken, NumberedPublisher, NumberedStream, Pace, Progress, ProgressWatch, SampleBlock,
+    Service, StreamState, TimeGrid,
 };
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until, timeout};
@@ -109,9 +109,11 @@ impl SensorService {
         }
         let block_samples = match settings.speed {
             Speed::Factor(factor) => ((BLOCK_S * rate_hz * factor) as u64).clamp(1, LARGE_BLOCK),
+            Speed::Live => ((BLOCK_S * rate_hz) as u64).clamp(1, LARGE_BLOCK),
             Speed::Max => LARGE_BLOCK,
         };
-        let cutter = Cutter::new(nodes, settings.epoch, block_samples);
+        let pace = if settings.speed == Speed::Live { Pace::Live } else { Pace::Replayed };
+        let cutter = Cutter::new(nodes, settings.epoch, block_samples).with_pace(pace);
         Ok(Self { bus: bus.clone(), keys, cutter, rate_hz, settings, publishers, tokens, progress })
     }
 
@@ -133,7 +135,7 @@ impl SensorService {
             ready = self.wait_for_services() => ready?,
             () = &mut stop => return self.withdraw().await,
         }
-        let window = self.window().await;
+        let min_epoch = self.min_epoch().await;
         let mut put = Put { first_ns: 0, rows: RowsPut::default(), last_sample_ns: i64::MIN, next: Vec::new() };
         put.next.resize_with(self.publishers.len(), || None);
         let nodes = self.cutter.nodes().to_vec();
@@ -142,7 +144,7 @@ impl SensorService {
         let mut cutting = JoinSet::new();
         // A thread of its own: a simulation computes, and a record waits for the disk.
         cutting.spawn_blocking(move || cut_all(cutter, rows, &out));
-        let put_all = self.put_all(&window, &batches, &mut put);
+        let put_all = self.put_all(min_epoch, &batches, &mut put);
         let patience = tokio::select! {
             finished = put_all => {
                 finished?;
@@ -154,7 +156,7 @@ impl SensorService {
             }
         };
         drop(batches); // ends the cutting, if it has not ended
-        self.wait_until_done(&window, put.last_sample_ns, patience).await;
+        self.wait_until_done(&self.window(min_epoch, 0), put.last_sample_ns, patience).await;
         let cut = cutting.join_next().await;
         self.withdraw().await?;
         match cut {
@@ -177,20 +179,24 @@ impl SensorService {
         Ok(())
     }
 
-    /// The window of this run; what ingest has said of earlier ones must not count for it.
-    async fn window(&self) -> Window {
-        let step_ns = TimeGrid::new(0, self.rate_hz).map_or(0, |grid| grid.step_ns());
+    /// The lowest epoch of frames of this run; what ingest has said of earlier ones must not count for it.
+    async fn min_epoch(&self) -> u64 {
         let asks = self.settings.wait_for.contains(&Service::Ingest);
         let position =
             if asks { self.bus.stream_position(&self.keys.recording(), POSITION_TIMEOUT).await } else { None };
-        let min_epoch = match position {
+        match position {
             Some(at) if at.state == StreamState::Ended => at.header.epoch + 1,
             Some(at) => at.header.epoch,
             None => 0,
-        };
+        }
+    }
+
+    /// The window so long after the first row (ns): clocks that drift move apart.
+    fn window(&self, min_epoch: u64, elapsed_ns: i64) -> Window {
+        let step_ns = TimeGrid::new(0, self.rate_hz).map_or(0, |grid| grid.step_ns());
         // A frame is done when the node whose clock is furthest behind has reached it.
-        let offsets = || self.cutter.nodes().iter().map(|node| node.clock_offset_ns);
-        let (ahead, behind) = (offsets().max().unwrap_or(0), offsets().min().unwrap_or(0));
+        let clocks = || self.cutter.nodes().iter().map(|node| node.clock_ahead_ns(elapsed_ns));
+        let (ahead, behind) = (clocks().max().unwrap_or(0), clocks().min().unwrap_or(0));
         Window {
             rows: WINDOW_FRAMES + (ahead.saturating_sub(behind) / step_ns.max(1)).unsigned_abs(),
             step_ns,
@@ -201,7 +207,7 @@ impl SensorService {
 
     async fn put_all(
         &self,
-        window: &Window,
+        min_epoch: u64,
         batches: &flume::Receiver<Batch>,
         put: &mut Put,
     ) -> Result<(), SensorError> {
@@ -209,8 +215,12 @@ impl SensorService {
         while let Ok(Batch { time_ns, rows, blocks }) = batches.recv_async().await {
             let started = *started.get_or_insert_with(|| {
                 put.first_ns = time_ns;
-                Instant::now()
+                match self.settings.speed {
+                    Speed::Live => instant_of(time_ns),
+                    Speed::Factor(_) | Speed::Max => Instant::now(),
+                }
             });
+            let window = self.window(min_epoch, time_ns.saturating_sub(put.first_ns));
             if let Some(due) = self.settings.speed.due(put.first_ns, time_ns) {
                 sleep_until(started + due).await;
             }
@@ -225,7 +235,7 @@ impl SensorService {
                 put.note(node, &block);
                 self.publishers[node].put(block).await?;
             }
-            put.rows.push(window, time_ns, rows);
+            put.rows.push(&window, time_ns, rows);
         }
         Ok(())
     }
@@ -282,6 +292,17 @@ impl Put {
             *place = (!ended).then_some(end);
         }
     }
+}
+
+/// The instant at which the clock on the wall shows a time (ns since the Unix epoch).
+fn instant_of(time_ns: i64) -> Instant {
+    #[expect(clippy::disallowed_methods, reason = "live samples are put when they are measured")]
+    let wall = SystemTime::now();
+    let now = Instant::now();
+    let wall_ns = wall.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64);
+    let away = Duration::from_nanos(time_ns.abs_diff(wall_ns));
+    let instant = if time_ns > wall_ns { now.checked_add(away) } else { now.checked_sub(away) };
+    instant.unwrap_or(now)
 }
 
 /// Cuts all rows, and sends a batch whenever blocks are complete; ends early when nobody receives.

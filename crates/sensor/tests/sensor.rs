@@ -47,6 +47,7 @@ async fn sensor(bus: &Bus, wait_for: Vec<Service>) -> SensorService {
         sampling_rate_hz: 200.0,
         pace: NodePace::EveryRow,
         clock_offset_ns: 0,
+        clock_drift_ppm: 0.0,
     };
     let settings = SensorSettings { speed: Speed::Max, epoch: 1, wait_for };
     SensorService::start(vec![node], 200.0, bus, keys(), settings).await.unwrap()

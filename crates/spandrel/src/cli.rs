@@ -57,7 +57,8 @@ pub enum Command {
     Alert(ServiceArguments),
     /// Simulate a structure: to the bus, or to a file.
     #[command(after_help = "Examples: spandrel simulate tower.toml --record tower.csv --duration 600\n          \
-                            spandrel simulate tower.toml --speed 1 --connect tcp/10.0.0.5:7447")]
+                            spandrel simulate tower.toml --speed 1 --connect tcp/10.0.0.5:7447\n          \
+                            spandrel simulate tower.toml --live --node roof --start 1763730000")]
     Simulate(SimulateArguments),
     /// Send a recording to the bus as its sensor nodes would.
     #[command(after_help = "Example: spandrel replay week-12.csv --structure tower.toml --speed 10")]
@@ -198,6 +199,16 @@ pub struct SimulateArguments {
     /// Times real time, or max; on the bus only.
     #[arg(long, default_value = "1", conflicts_with = "record")]
     pub speed: Speed,
+    /// Send samples as hardware does: at the times that they bear, whoever is there, and not to be waited for.
+    #[arg(long, conflicts_with_all = ["record", "speed"])]
+    pub live: bool,
+    /// When a live simulation has begun (seconds since 1970, UTC), so that nodes in several processes belong together; a
+    /// process that comes later joins where the others are [default: now].
+    #[arg(long, value_name = "SECONDS", requires = "live", value_parser = seconds, allow_negative_numbers = true)]
+    pub start: Option<f64>,
+    /// Be this sensor node alone; may be repeated [default: all nodes].
+    #[arg(long, value_name = "NAME", conflicts_with = "record")]
+    pub node: Vec<String>,
     #[command(flatten)]
     pub bus: BusArguments,
 }

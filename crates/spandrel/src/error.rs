@@ -74,6 +74,16 @@ pub enum AppError {
         /// The nodes that do.
         known: String,
     },
+    /// The structure has no node of this name.
+    #[error("structure {structure} has no node `{name}`; its nodes: {known}")]
+    UnknownNode {
+        /// The structure.
+        structure: String,
+        /// The name.
+        name: String,
+        /// The nodes that it has.
+        known: String,
+    },
     /// A station was asked for, and no structure is identified by its nodes.
     #[error("nothing to fuse: no structure has identification = \"distributed\"")]
     NothingToFuse,
@@ -177,6 +187,7 @@ impl AppError {
             | Self::NothingLearnt { .. }
             | Self::NoParameters { .. }
             | Self::NoSuchNode { .. }
+            | Self::UnknownNode { .. }
             | Self::NothingToFuse
             | Self::WouldOverwrite { .. }
             | Self::ParticlesOnly { .. }

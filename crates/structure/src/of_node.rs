@@ -45,6 +45,7 @@ impl Structure {
         let noise_levels = self.noise_levels.iter().filter_map(level).collect();
         let mut simulation = self.simulation.clone();
         simulation.clock_offsets_s = vec![self.simulation.clock_offsets_s[position]];
+        simulation.clock_drifts_ppm = vec![self.simulation.clock_drifts_ppm[position]];
         simulation.faults.retain(|fault| fault.node == position);
         simulation.faults.iter_mut().for_each(|fault| fault.node = 0);
         simulation.levels.clear(); // they are numbered as in the whole structure, which is what is simulated

@@ -29,6 +29,8 @@ impl Allowed {
     pub(crate) const DEVIATION: Self = Self { low: Bound::Included(1e-30), high: Bound::Included(1e30) };
     /// Standard deviations of ratios.
     pub(crate) const RATIO_DEVIATION: Self = Self { low: Bound::Included(1e-9), high: Bound::Included(1e6) };
+    /// How far the rate of a clock may be off (parts per million): a hundred times what crystals are.
+    pub(crate) const DRIFT: Self = Self { low: Bound::Included(-10_000.0), high: Bound::Included(10_000.0) };
     /// From 0, below 1.
     pub(crate) const SHARE: Self = Self { low: Bound::Included(0.0), high: Bound::Excluded(1.0) };
 

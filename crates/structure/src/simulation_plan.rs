@@ -10,6 +10,8 @@ pub struct SimulationPlan {
     pub(crate) spikes: Spikes,
     /// One per node, s.
     pub(crate) clock_offsets_s: Vec<f64>,
+    /// One per node, parts per million.
+    pub(crate) clock_drifts_ppm: Vec<f64>,
     /// Noise levels (from 0) that are not what the file states: their actual standard deviations.
     pub(crate) levels: Vec<(usize, f64)>,
     pub(crate) faults: Vec<Fault>,
@@ -124,6 +126,7 @@ impl SimulationPlan {
             dropped_share: 0.0,
             spikes: Spikes { share: 0.0, height: Self::SPIKE_HEIGHT, kind: SpikeKind::Added },
             clock_offsets_s: vec![0.0; nodes],
+            clock_drifts_ppm: vec![0.0; nodes],
             faults: Vec::new(),
             levels: Vec::new(),
         }
@@ -139,5 +142,11 @@ impl SimulationPlan {
     #[must_use]
     pub fn clock_offsets_s(&self) -> &[f64] {
         &self.clock_offsets_s
+    }
+
+    /// Returns how much faster the clock of each node runs (parts per million), in the order of the nodes.
+    #[must_use]
+    pub fn clock_drifts_ppm(&self) -> &[f64] {
+        &self.clock_drifts_ppm
     }
 }

@@ -172,3 +172,56 @@ fn the_last_block_says_that_it_is_the_last() {
     assert_eq!((blocks.len(), blocks[0].state, blocks[0].header.sequence), (1, StreamState::Ended, 1));
     assert_eq!(fusion.done_ns(), Some(1_400_000_000));
 }
+
+/// Broke: one message that claims to replay made the station wait for periods that live nodes never complete.
+#[test]
+fn a_message_that_claims_to_replay_does_not_stop_the_fusions_of_live_nodes() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    run(&mut fusion, (0..16).map(|node| local(node, message(3, 1, Pace::Live, 0.95))));
+    assert_eq!(estimates(&run(&mut fusion, [Input::Tick(2 * SECOND_NS)])).len(), 1);
+    // of a later life, so that what node 5 sends from now on is refused
+    run(&mut fusion, [local(5, message(4, 1000, Pace::Replayed, 0.95))]);
+    for second in 3..6 {
+        let index = second as u64 - 1;
+        run(&mut fusion, (0..16).map(|node| local(node, message(3, index, Pace::Live, 0.95))));
+        assert_eq!(estimates(&run(&mut fusion, [Input::Tick(second * SECOND_NS)])).len(), 1, "second {second}");
+    }
+}
+
+/// Broke: fusions were due when the messages of nodes that had begun together came, and missed some of them every few seconds.
+#[test]
+fn messages_that_come_a_third_of_a_period_early_or_late_are_heard_in_each_fusion() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    let jitter_ns = [0, -330_000_000, 330_000_000, 50_000_000, -50_000_000];
+    let mut outputs = Vec::new();
+    for (index, jitter_ns) in (1..).zip(jitter_ns) {
+        let arrived_ns = index as i64 * SECOND_NS + jitter_ns;
+        let message = message(3, index, Pace::Live, 0.95);
+        fusion.handle(Input::Local { node: 0, message, bytes: 500, arrived_ns }, &mut outputs);
+        fusion.handle(Input::Tick(index as i64 * SECOND_NS + SECOND_NS / 2), &mut outputs);
+    }
+    let heard: Vec<bool> = estimates(&outputs).iter().map(|block| !block.estimates[0].flags.prediction_only).collect();
+    assert_eq!(heard, [true; 5]);
+}
+
+/// Broke: no fusion until the clock had come to where it had been.
+#[test]
+fn a_clock_that_is_set_back_does_not_stop_the_fusions() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    let mut outputs = Vec::new();
+    for index in 1..=6 {
+        let hour_ns = if index > 3 { 3600 * SECOND_NS } else { 0 };
+        let arrived_ns = 10_000 * SECOND_NS + index * SECOND_NS - hour_ns;
+        let message = message(3, index as u64, Pace::Live, 0.95);
+        fusion.handle(Input::Local { node: 0, message, bytes: 500, arrived_ns }, &mut outputs);
+        for tick in 0..20 {
+            fusion.handle(Input::Tick(arrived_ns + tick * SECOND_NS / 20), &mut outputs);
+        }
+    }
+    // half a second after the messages; at once when the clock has gone back, and then a period later
+    let half_ns = SECOND_NS / 2;
+    let blocks = estimates(&outputs);
+    let between = blocks.windows(2).map(|pair| (pair[1].header.time_ns - pair[0].header.time_ns) / half_ns);
+    assert_eq!(between.collect::<Vec<_>>(), [2, 2, 1 - 2 * 3600, 2, 2]);
+}

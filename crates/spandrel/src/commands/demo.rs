@@ -1,10 +1,10 @@
 //! `spandrel demo`: the whole path in one process, with a building that is damaged on the way.
 
 use super::print;
-use super::simulate::simulate;
+use super::simulate::{Simulation, simulate};
 use crate::cli::{DemoArguments, Speed};
 use crate::error::AppError;
-use crate::services::{Running, Watched, block_on, interrupted};
+use crate::services::{Running, Watched, block_on, epoch_now, interrupted};
 use crate::settings::Settings;
 use crate::summary::{Collector, Summary};
 use spandrel_bus::{AlertMessage, AlertState, Bus, Delivery, EstimateBlock, Service, Start, StreamState};
@@ -75,7 +75,14 @@ async fn show_and_collect(
     let Watched { structure, keys, .. } = watched;
     let frames = (arguments.duration * structure.sampling_rate_hz()).round() as u64;
     let no_bar = indicatif::ProgressBar::hidden(); // the view shows what there is to see
-    let simulation = simulate(bus, structure, keys, arguments.speed.into(), arguments.seed, Some(frames), &no_bar);
+    let simulation = Simulation {
+        speed: arguments.speed.into(),
+        seed: arguments.seed,
+        frames: Some(frames),
+        start_ns: epoch_now() as i64,
+        nodes: (0..structure.nodes().len()).collect(),
+    };
+    let simulation = simulate(bus, structure, keys, &simulation, &no_bar);
     let collected = collect(bus, watched, arguments);
     let both = async { tokio::try_join!(collected, simulation).map(|(summary, ())| Some(summary)) };
     if !shown {

@@ -29,14 +29,20 @@ pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
         refuse_overwriting(path, [arguments.structure.as_path()])?;
         return write_record(&structure, path, seed, frames(arguments.duration.unwrap_or(DEFAULT_RECORD_S)));
     }
+    let simulation = Simulation {
+        speed: if arguments.live { Speed::Live } else { arguments.speed.into() },
+        seed,
+        frames: arguments.duration.map(frames),
+        start_ns: arguments.start.map_or_else(|| epoch_now() as i64, |seconds| (seconds * 1e9) as i64),
+        nodes: (0..structure.nodes().len()).filter(wanted(&structure, &arguments.node)?).collect(),
+    };
     let settings = Settings::load(&arguments.bus)?;
     let keys = settings.bus.keys(structure.name())?;
     block_on(async {
         let bus = Bus::open(&settings.bus).await?;
-        let frames = arguments.duration.map(frames);
-        let bar = progress::bar("simulating", frames);
+        let bar = progress::bar("simulating", simulation.frames);
         let simulated = tokio::select! {
-            simulated = simulate(&bus, &structure, &keys, arguments.speed.into(), seed, frames, &bar) => simulated,
+            simulated = simulate(&bus, &structure, &keys, &simulation, &bar) => simulated,
             () = interrupted() => Ok(()),
         };
         bar.finish_and_clear();
@@ -45,7 +51,23 @@ pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
     })
 }
 
-/// Sends a simulation to the bus as its sensor nodes would, and waits until alert has decided on all of it.
+/// What a simulation on the bus is told.
+#[derive(Debug)]
+pub struct Simulation {
+    /// How fast.
+    pub speed: Speed,
+    /// Seed of excitation and noise.
+    pub seed: u64,
+    /// Number of frames, or without end.
+    pub frames: Option<u64>,
+    /// Time of the first frame, ns since the Unix epoch, UTC.
+    pub start_ns: i64,
+    /// The nodes that it is, by place in the file, in that order.
+    pub nodes: Vec<usize>,
+}
+
+/// Sends a simulation to the bus as its sensor nodes would, and waits until alert has decided on all of it; a live one waits
+/// for nobody, and leaves out what is over.
 ///
 /// # Errors
 /// When the bus is closed underneath.
@@ -53,18 +75,43 @@ pub async fn simulate(
     bus: &Bus,
     structure: &Structure,
     keys: &Keys,
-    speed: Speed,
-    seed: u64,
-    frames: Option<u64>,
+    simulation: &Simulation,
     bar: &ProgressBar,
 ) -> Result<(), AppError> {
-    let epoch = epoch_now();
-    let settings = SensorSettings { speed, epoch, wait_for: readers(structure) };
-    let nodes = NodePlan::of(structure, Clocks::AsSimulated).map_err(SensorError::from)?;
-    let service = SensorService::start(nodes, structure.sampling_rate_hz(), bus, keys.clone(), settings).await?;
-    let counted = bar.clone();
-    let rows = simulated_rows(structure, seed, epoch as i64, frames).inspect(move |_| counted.inc(1));
-    Ok(service.run(rows.map(Ok::<_, Infallible>), std::future::pending()).await?)
+    let &Simulation { speed, seed, frames, start_ns, ref nodes } = simulation;
+    let (epoch, live) = (epoch_now(), speed == Speed::Live);
+    let wait_for = if live { Vec::new() } else { readers(structure) };
+    let settings = SensorSettings { speed, epoch, wait_for };
+    let plans = NodePlan::of(structure, Clocks::AsSimulated).map_err(SensorError::from)?;
+    let plans =
+        plans.into_iter().enumerate().filter(|(index, _)| nodes.contains(index)).map(|(_, plan)| plan).collect();
+    let service = SensorService::start(plans, structure.sampling_rate_hz(), bus, keys.clone(), settings).await?;
+    let (counted, channels) = (bar.clone(), channels_of(structure, nodes));
+    let rows = simulated_rows(structure, seed, start_ns, frames).inspect(move |_| counted.inc(1));
+    let rows = rows.skip_while(move |row| live && row.time_ns < epoch as i64).map(move |mut row| {
+        row.values = channels.iter().map(|channel| row.values[*channel]).collect();
+        Ok::<_, Infallible>(row)
+    });
+    Ok(service.run(rows, std::future::pending()).await?)
+}
+
+/// Returns the channels of some nodes, as a row of all has them.
+fn channels_of(structure: &Structure, nodes: &[usize]) -> Vec<usize> {
+    let of_node =
+        structure.nodes().iter().enumerate().flat_map(|(index, node)| node.channels().iter().map(move |_| index));
+    of_node.enumerate().filter(|(_, node)| nodes.contains(node)).map(|(channel, _)| channel).collect()
+}
+
+/// Returns whether a node, by its place in the file, is one of these; without any, all are.
+fn wanted<'a>(structure: &'a Structure, names: &'a [String]) -> Result<impl Fn(&usize) -> bool + 'a, AppError> {
+    let known = || structure.nodes().iter().map(|node| node.name());
+    if let Some(name) = names.iter().find(|name| !known().any(|known| known == **name)) {
+        let (name, known) = (name.clone(), known().collect::<Vec<_>>().join(", "));
+        return Err(AppError::UnknownNode { structure: structure.name().to_owned(), name, known });
+    }
+    let is_wanted =
+        |index: &usize| names.is_empty() || names.iter().any(|name| name == structure.nodes()[*index].name());
+    Ok(is_wanted)
 }
 
 /// Returns the services that the samples of a structure wait for.

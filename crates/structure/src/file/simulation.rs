@@ -52,19 +52,30 @@ pub(super) fn read_simulation(section: Option<Section<'_>>, context: &Context<'_
             .and_then(|levels| find_name(&section, "levels", &name, levels.iter().map(|level| level.name.as_str())));
         plan.levels.extend(index.zip(std));
     }
-    for (node, value) in section.entries("clock-offsets-s") {
-        let offset = section.entry_number("clock-offsets-s", &node, value, Allowed::ANY);
-        let index =
-            context.nodes.and_then(|nodes| find_name(&section, "clock-offsets-s", &node, nodes.iter().copied()));
-        if let (Some(index), Some(offset)) = (index, offset) {
-            plan.clock_offsets_s[index] = offset;
-        }
-    }
+    read_by_node(&mut section, "clock-offsets-s", Allowed::ANY, context, &mut plan.clock_offsets_s);
+    read_by_node(&mut section, "clock-drifts-ppm", Allowed::DRIFT, context, &mut plan.clock_drifts_ppm);
     for fault in section.tables("fault") {
         plan.faults.extend(read_fault(fault, context));
     }
     section.finish();
     plan
+}
+
+/// Reads a table of numbers by node into `numbers`, which has one for each node of the file.
+fn read_by_node(
+    section: &mut Section<'_>,
+    key: &'static str,
+    allowed: Allowed,
+    context: &Context<'_>,
+    numbers: &mut [f64],
+) {
+    for (node, value) in section.entries(key) {
+        let number = section.entry_number(key, &node, value, allowed);
+        let index = context.nodes.and_then(|nodes| find_name(section, key, &node, nodes.iter().copied()));
+        if let (Some(index), Some(number)) = (index, number) {
+            numbers[index] = number;
+        }
+    }
 }
 
 fn read_fault(mut section: Section<'_>, context: &Context<'_>) -> Option<Fault> {

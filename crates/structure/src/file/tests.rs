@@ -334,6 +334,19 @@ fn a_node_slower_than_the_structure_must_divide_its_rate() {
 }
 
 #[test]
+fn clocks_of_unknown_nodes_and_absurd_drifts_are_refused() {
+    let clocks =
+        "[simulation]\nclock-offsets-s = { floor-9 = 1 }\nclock-drifts-ppm = { floor-1 = 10_001, floor-2 = -50 }\n";
+    let found = mistakes(&DEMO.replacen("[simulation]\n", clocks, 1));
+    assert_eq!(found.len(), 2, "{found:?}");
+    assert!(found[0].starts_with("simulation.clock-offsets-s: is \"floor-9\""), "{found:?}");
+    assert_eq!(
+        found[1],
+        "simulation.clock-drifts-ppm.floor-1: is 10001, must be a finite number from -10000 and up to 10000"
+    );
+}
+
+#[test]
 fn damage_beyond_the_whole_stiffness_is_refused() {
     let text = DEMO.to_owned() + "\n[[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 90\nloss = 0.9\n";
     assert_eq!(

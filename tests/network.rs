@@ -1,0 +1,310 @@
+//! Nodes that identify for themselves and their station over a network that fails: each on a computer of its own, a network namespace,
+//! with the samples of its sensors.
+//!
+//! Needs the right to make namespaces and TAP devices, `ip` (iproute2) and `python3`; without them the tests say that they were
+//! skipped, and fail where `SPANDREL_REQUIRE_ALL` is set. Packets are delayed, shuffled, lost and held up in user space
+//! ([`links.py`](support/links.py)) and not by the kernel's netem, which many kernels lack.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+#![cfg(target_os = "linux")]
+
+mod support;
+
+use spandrel_bus::{
+    Bus, BusConfig, EstimateBlock, LocalMessage, Message, Mode, NodeDisplay, NodeHealth, ParameterDisplay, Service,
+    Subscription,
+};
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::Path;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use support::{Drops, Lab, Link, Process, put_raw};
+
+const NODES: [&str; 4] = ["floor-1", "floor-2", "floor-3", "floor-4"];
+const STATION: &str = "station";
+
+/// Encoding of the messages of nodes.
+const LOCAL: &str = "application/postcard;spandrel.local.v1";
+
+/// Length of the record (s).
+const LENGTH_S: f64 = 76.0;
+/// Processes get so long to start before the first sample is measured (s).
+const HEAD_START_S: f64 = 10.0;
+
+/// When the link of `floor-2` is cut (s of the record).
+const PARTITION_S: Range<f64> = 20.0..30.0;
+/// When the worker of `floor-3` is killed, and when it is started again (s).
+const OUTAGE_S: Range<f64> = 46.0..49.0;
+/// When `floor-4` sends what is no number, and when old messages come again (s).
+const NOT_FINITE_S: f64 = 60.0;
+const OLD_S: f64 = 65.0;
+/// After the end of a disturbance the estimates get so long to be those of the undisturbed run again (s): a link that was cut may be
+/// tried again after 10 s only, Zenoh's lease, and then the station weighs what it missed by its half-life of 8 s.
+const RECOVERY_S: f64 = 12.0;
+
+/// Four storeys of which each floor identifies for itself; their stiffness is 10 % above what the filters start from, and the second
+/// loses some of it on the way.
+fn house(clocks: &str) -> String {
+    let mut text = "[structure]\nname = \"house\"\nsampling-rate-hz = 100\nidentification = \"distributed\"\n\
+         [model]\nkind = \"shear-building\"\nstoreys = 4\nmass-kg = 20_000\nfirst-frequency-hz = 1.0\n\
+         [damping]\nkind = \"rayleigh\"\nratio = 0.02\n\
+         [[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.5\n"
+        .to_owned();
+    for storey in 1..=4 {
+        text += &format!(
+            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\nof = [\"storey-{storey}\"]\nmean = 0.9\nstd = 0.1\n\
+             [[node]]\nname = \"floor-{storey}\"\n\
+             [[node.channel]]\nname = \"displacement-{storey}\"\nquantity = \"displacement\"\ndof = \"floor-{storey}\"\n\
+             unit = \"m\"\nnoise-std = 2e-4\n\
+             [[node.channel]]\nname = \"acceleration-{storey}\"\nquantity = \"absolute-acceleration\"\ndof = \"floor-{storey}\"\n\
+             unit = \"m/s2\"\nnoise-std = 0.01\n"
+        );
+    }
+    text + "[filter]\nhalf-life-s = 8\nannealing-amount = 0\n[fusion]\nrate-hz = 1\n\
+            [simulation]\nseed = 1\n"
+        + clocks
+        + "[[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 36\nloss = 0.1\n"
+}
+
+/// A station, its nodes with their sensors, and a session at the station that hears all it says.
+struct Network {
+    lab: Lab,
+    folder: tempfile::TempDir,
+    /// Start of the record, s since 1970, UTC.
+    start_s: f64,
+    station: Process,
+    workers: BTreeMap<&'static str, Process>,
+    _sensors: Vec<Process>,
+    bus: Bus,
+    estimates: Subscription<EstimateBlock>,
+    parameters: Subscription<ParameterDisplay>,
+    local: Subscription<LocalMessage>,
+    nodes: Subscription<NodeDisplay>,
+    drops: Drops,
+}
+
+/// A fused estimate: time (s of the record), means and standard deviations of the parameters.
+struct Fused {
+    time_s: f64,
+    mean: Vec<f64>,
+    std: Vec<f64>,
+}
+
+impl Network {
+    /// Starts everything, on links of this kind; none where namespaces cannot be made.
+    async fn start(clocks: &str, start_s: f64, link: Link) -> Option<Self> {
+        let mut lab = Lab::or_skip(&[&NODES[..], &[STATION]].concat(), 1)?;
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("house.toml"), house(clocks)).unwrap();
+        let socket = format!("unixsock-stream/{}", folder.path().join("station.sock").display());
+        let remote = format!("tcp/{}:7447", lab.address(STATION));
+        let mut command = lab.spandrel(STATION, "fuse");
+        command.arg(folder.path().join("house.toml")).args(["-v", "--listen", &remote, "--listen", &socket]);
+        let station = Process::start(&mut command);
+        station.wait_for_log("ready structures=1");
+        NODES.iter().for_each(|node| lab.set(node, link));
+        let workers = NODES.map(|node| (node, worker(&lab, folder.path(), node)));
+        workers.iter().for_each(|(_, worker)| worker.wait_for_log("ready structures=1"));
+        let sensors = NODES.map(|node| {
+            let mut command = lab.spandrel(node, "simulate");
+            command.arg(folder.path().join("house.toml")).args(["--live", "--node", node, "--connect", AT_NODE]);
+            command.args(["--start", &start_s.to_string(), "--duration", &LENGTH_S.to_string()]);
+            Process::start(command.env("SPANDREL_BUS__MODE", "client"))
+        });
+        let config = BusConfig { mode: Mode::Client, connect: vec![socket], ..BusConfig::default() };
+        let bus = Bus::open(&config).await.unwrap();
+        let keys = config.keys("house").unwrap();
+        assert!(now_s() < start_s, "{HEAD_START_S} s are too short for the processes to start");
+        Some(Self {
+            estimates: bus.subscribe(keys.estimates(), 1 << 12).await.unwrap(),
+            parameters: bus.subscribe(keys.all_parameters(), 1 << 12).await.unwrap(),
+            local: bus.subscribe(keys.all_local(), 1 << 12).await.unwrap(),
+            nodes: bus.subscribe(keys.all_nodes(), 1 << 12).await.unwrap(),
+            drops: Drops::watch(&bus, &keys).await,
+            workers: workers.into(),
+            _sensors: sensors.into(),
+            start_s,
+            lab,
+            folder,
+            station,
+            bus,
+        })
+    }
+
+    /// Waits for a time of the record (s).
+    async fn until(&self, time_s: f64) {
+        tokio::time::sleep(Duration::from_secs_f64((self.start_s + time_s - now_s()).max(0.0))).await;
+    }
+
+    /// What was fused up to the end of the record; checks on the way that all of it is a number, and that nothing went missing.
+    async fn fused(&self) -> Vec<Fused> {
+        self.until(LENGTH_S).await;
+        for (_, parameter) in self.parameters.messages().drain() {
+            let numbers = [parameter.mean, parameter.std, parameter.probability_of_loss];
+            assert!(numbers.iter().all(|number| number.is_finite()), "{parameter:?}");
+        }
+        let blocks = self.estimates.messages().drain().map(|(_, block)| block);
+        let fused = blocks.flat_map(|block| {
+            let time_s = block.header.time_ns as f64 * 1e-9 - self.start_s;
+            block.estimates.into_iter().map(move |estimate| {
+                let std = (0..estimate.mean.len()).map(|i| estimate.covariance[i * (i + 3) / 2].sqrt()).collect();
+                Fused { time_s, mean: estimate.mean, std }
+            })
+        });
+        let fused: Vec<Fused> = fused.collect();
+        let sound = |fused: &Fused| fused.mean.iter().chain(&fused.std).all(|number| number.is_finite());
+        assert!(fused.iter().all(sound), "a number that is none was published");
+        // what does not decode, such as numbers that are none, would have been refused by this session
+        assert!(self.estimates.refused().is_empty() && self.parameters.refused().is_empty());
+        fused
+    }
+
+    /// Stops everything in order; whoever stopped by itself did so with another code.
+    fn stop(self) {
+        for (_, worker) in self.workers {
+            worker.stop().expect_code(0);
+        }
+        self.station.stop().expect_code(0);
+    }
+}
+
+/// Where the worker of a node listens for its sensors, on its own computer.
+const AT_NODE: &str = "tcp/127.0.0.1:7447";
+
+fn worker(lab: &Lab, folder: &Path, node: &str) -> Process {
+    let mut command = lab.spandrel(node, "identify");
+    let remote = format!("tcp/{}:7447", lab.address(STATION));
+    command.arg(folder.join("house.toml")).args(["-v", "--node", node, "--listen", AT_NODE, "--connect", &remote]);
+    // the first packets of a connection may be lost more than once
+    Process::start(command.env("SPANDREL_BUS__CONNECT_TIMEOUT_S", "40"))
+}
+
+fn now_s() -> f64 {
+    #[expect(clippy::disallowed_methods, reason = "live sensors and the station go by the clock on the wall")]
+    let now = SystemTime::now();
+    now.duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn estimates_outside_disturbed_spans_are_those_of_an_undisturbed_network() {
+    let start_s = now_s().ceil() + HEAD_START_S;
+    let good = Link { loss: 0.0, delay_s: 0.0, jitter_s: 0.0 };
+    let bad = Link { loss: 0.1, delay_s: 0.05, jitter_s: 0.01 };
+    // the clock of floor-1 is ahead and fast, that of floor-4 behind and slow
+    let clocks = "clock-offsets-s = { floor-1 = 0.02, floor-4 = -0.02 }\n\
+                  clock-drifts-ppm = { floor-1 = 50, floor-4 = -50 }\n";
+    let (undisturbed, disturbed) =
+        tokio::join!(Network::start("", start_s, good), Network::start(clocks, start_s, bad));
+    let (Some(undisturbed), Some(mut disturbed)) = (undisturbed, disturbed) else { return };
+
+    disturbed.until(PARTITION_S.start).await;
+    disturbed.lab.cut("floor-2");
+    disturbed.until(PARTITION_S.end).await;
+    disturbed.lab.heal("floor-2");
+
+    disturbed.until(OUTAGE_S.start).await;
+    disturbed.workers.remove("floor-3").unwrap().kill();
+    disturbed.until(OUTAGE_S.end).await;
+    let restarted = worker(&disturbed.lab, disturbed.folder.path(), "floor-3");
+    disturbed.workers.insert("floor-3", restarted);
+
+    disturbed.until(NOT_FINITE_S).await;
+    let heard: Vec<(String, LocalMessage)> = disturbed.local.messages().drain().collect();
+    let (key, last) = heard.iter().rfind(|(key, _)| key.ends_with("floor-4")).expect("a message of floor-4");
+    let sent = put_not_finite(&disturbed.bus, key, last).await;
+    disturbed.drops.expect(Service::Fuse, "refused-malformed", sent).await;
+
+    disturbed.until(OLD_S).await;
+    // floor-3 of its life before it was killed, floor-1 of half a minute ago
+    let (dead, first) = heard.iter().find(|(key, _)| key.ends_with("floor-3")).expect("a message of floor-3");
+    put_raw(&disturbed.bus, dead, LOCAL, first.encode().unwrap()).await;
+    let of_floor_1: Vec<&(String, LocalMessage)> = heard.iter().filter(|(key, _)| key.ends_with("floor-1")).collect();
+    let (key, old) = of_floor_1[of_floor_1.len() / 2];
+    put_raw(&disturbed.bus, key, LOCAL, old.encode().unwrap()).await;
+    disturbed.drops.expect(Service::Fuse, "refused-stale-epoch", 1).await;
+    disturbed.drops.expect(Service::Fuse, "refused-old", 1).await;
+
+    let (expected, found) = tokio::join!(undisturbed.fused(), disturbed.fused());
+    assert_never_stopped("undisturbed", &expected);
+    assert_never_stopped("disturbed", &found);
+    assert_faults_were_felt(&disturbed);
+    compare(&expected, &found);
+    undisturbed.stop();
+    disturbed.stop();
+}
+
+/// Messages after `last` of which single numbers are none; returns how many.
+async fn put_not_finite(bus: &Bus, key: &str, last: &LocalMessage) -> u64 {
+    let density = last.density.clone().unwrap();
+    let mut wrong = Vec::new();
+    for number in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let (mut of_mean, mut of_covariance) = (density.clone(), density.clone());
+        of_mean.mean[0] = number;
+        of_covariance.covariance[0] = number;
+        wrong.extend([of_mean, of_covariance]);
+    }
+    for (number, density) in wrong.iter().enumerate() {
+        let mut message = LocalMessage { density: Some(density.clone()), ..last.clone() };
+        message.header.sequence += 1 + number as u64;
+        put_raw(bus, key, LOCAL, postcard::to_stdvec(&message).unwrap()).await;
+    }
+    wrong.len() as u64
+}
+
+/// One fusion a second from the first to the end of the record.
+fn assert_never_stopped(which: &str, fused: &[Fused]) {
+    let (first, last) = (fused.first().unwrap().time_s, fused.last().unwrap().time_s);
+    assert!(first < 4.0, "{which}: first fusion after {first:.1} s");
+    assert!(last > LENGTH_S - 2.0, "{which}: last fusion after {last:.1} s");
+    let longest = fused.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).fold(0.0, f64::max);
+    assert!(longest < 2.0, "{which}: {longest:.1} s without a fusion");
+}
+
+/// Without this the test would hold on a network on which nothing happened.
+fn assert_faults_were_felt(network: &Network) {
+    let mut silent: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    for (_, node) in network.nodes.messages().drain().filter(|(_, node)| node.state == NodeHealth::Silent) {
+        silent.entry(node.node.to_string()).or_default().push(node.time_ns as f64 * 1e-9 - network.start_s);
+    }
+    for (node, span, least) in [("floor-2", PARTITION_S, 8), ("floor-3", OUTAGE_S, 1)] {
+        let of_node = silent.get(node).map_or(&[][..], Vec::as_slice);
+        println!("{node} silent at {of_node:.0?}");
+        let span = span.start..span.end + RECOVERY_S;
+        let (within, outside): (Vec<f64>, Vec<f64>) = of_node.iter().partition(|time_s| span.contains(*time_s));
+        assert!(within.len() >= least, "{node} silent in {} fusions", within.len());
+        // a message that is lost twice comes too late for its fusion
+        assert!(outside.len() < 10, "{node} silent in {} fusions outside of its fault", outside.len());
+    }
+}
+
+fn compare(expected: &[Fused], found: &[Fused]) {
+    let disturbed = [PARTITION_S, OUTAGE_S].map(|span| span.start..span.end + RECOVERY_S);
+    let (mut outside, mut inside, mut compared) = ((0.0, 0.0), (0.0, 0.0), 0);
+    for fused in found {
+        let away = |other: &&Fused| (other.time_s - fused.time_s).abs();
+        let undisturbed = expected.iter().min_by(|a, b| away(a).total_cmp(&away(b))).unwrap();
+        let differences = fused.mean.iter().zip(&undisturbed.mean).zip(&undisturbed.std);
+        let largest = differences.map(|((a, b), std)| (a - b).abs() / std).fold(0.0, f64::max);
+        let is_disturbed = disturbed.iter().any(|span| span.contains(&fused.time_s));
+        let worst = if is_disturbed { &mut inside } else { &mut outside };
+        if largest > worst.0 {
+            *worst = (largest, fused.time_s);
+        }
+        compared += usize::from(!is_disturbed);
+        assert!(
+            is_disturbed || largest <= 1.0,
+            "at {:.1} s: {:?} in place of {:?} ± {:?}",
+            fused.time_s,
+            fused.mean,
+            undisturbed.mean,
+            undisturbed.std
+        );
+    }
+    println!(
+        "largest difference in deviations: {:.2} at {:.0} s, in disturbed spans {:.2} at {:.0} s",
+        outside.0, outside.1, inside.0, inside.1
+    );
+    assert!(compared > 30, "only {compared} fusions outside the disturbed spans");
+    let end = found.last().unwrap();
+    println!("at the end {:.3?} ± {:.3?}", end.mean, end.std);
+}

@@ -1,0 +1,176 @@
+//! Network namespaces, as if each were a computer, with links between them that can be made bad.
+
+use super::spandrel;
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+
+/// Labs of this process so far: each has namespaces and devices of its own.
+static LABS: AtomicU32 = AtomicU32::new(0);
+
+/// Set where a test that cannot run is a failure.
+const REQUIRE_ALL: &str = "SPANDREL_REQUIRE_ALL";
+
+/// Some computers on one switch. They are gone when this is dropped; processes in them have to end before.
+pub struct Lab {
+    number: u32,
+    names: Vec<String>,
+    switch: Option<(Child, ChildStdin)>,
+}
+
+/// How good a link is, in each direction.
+#[derive(Clone, Copy)]
+pub struct Link {
+    /// Share of the packets that are lost.
+    pub loss: f64,
+    /// Delay (s).
+    pub delay_s: f64,
+    /// Largest deviation from it (s).
+    pub jitter_s: f64,
+}
+
+impl Lab {
+    /// A lab of computers of these names; none, and a line that says so, where the machine lacks the means or the right.
+    pub fn or_skip(names: &[&str], seed: u64) -> Option<Self> {
+        remove_leftovers();
+        match Self::new(names, seed) {
+            Ok(lab) => Some(lab),
+            Err(lacking) => {
+                assert!(std::env::var_os(REQUIRE_ALL).is_none(), "{REQUIRE_ALL} is set, and {lacking}");
+                println!("SKIPPED: {lacking}");
+                None
+            }
+        }
+    }
+
+    fn new(names: &[&str], seed: u64) -> Result<Self, String> {
+        let number = LABS.fetch_add(1, Ordering::Relaxed);
+        let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
+        let mut lab = Self { number, names, switch: None };
+        for name in &lab.names {
+            ip(&["netns", "add", &lab.namespace(name)])?;
+        }
+        let devices: Vec<String> = (0..lab.names.len()).map(|index| lab.device(index)).collect();
+        lab.switch = Some(start_switch(seed, &devices)?);
+        for (index, name) in lab.names.iter().enumerate() {
+            let (namespace, device) = (lab.namespace(name), &devices[index]);
+            ip(&["link", "set", device, "netns", &namespace, "name", "eth0"])?;
+            let inside = |arguments: &[&str]| ip(&[&["-n", &namespace], arguments].concat());
+            inside(&["address", "add", &format!("{}/24", lab.address(name)), "dev", "eth0"])?;
+            inside(&["link", "set", "lo", "up"])?;
+            inside(&["link", "set", "eth0", "up"])?;
+        }
+        Ok(lab)
+    }
+
+    /// The built binary on one of the computers.
+    pub fn spandrel(&self, name: &str, subcommand: &str) -> Command {
+        let plain = spandrel(subcommand);
+        let mut command = Command::new("ip");
+        command.args(["netns", "exec", &self.namespace(name)]).arg(plain.get_program()).args(plain.get_args());
+        for (variable, _) in plain.get_envs() {
+            command.env_remove(variable);
+        }
+        command
+    }
+
+    /// The address of a computer.
+    pub fn address(&self, name: &str) -> String {
+        format!("10.98.0.{}", self.index(name) + 1)
+    }
+
+    /// Makes the link of a computer this good.
+    pub fn set(&mut self, name: &str, link: Link) {
+        let Link { loss, delay_s, jitter_s } = link;
+        self.tell(&format!("set {} {loss} {delay_s} {jitter_s}", self.index(name)));
+    }
+
+    /// Cuts the link of a computer.
+    pub fn cut(&mut self, name: &str) {
+        self.tell(&format!("cut {}", self.index(name)));
+    }
+
+    /// Joins it again.
+    pub fn heal(&mut self, name: &str) {
+        self.tell(&format!("heal {}", self.index(name)));
+    }
+
+    /// Bytes that a computer has received and sent so far, Ethernet frames counted whole.
+    pub fn bytes(&self, name: &str) -> (u64, u64) {
+        let counter = |which: &str| -> u64 {
+            let path = format!("/sys/class/net/eth0/statistics/{which}_bytes");
+            let read =
+                Command::new("ip").args(["netns", "exec", &self.namespace(name), "cat", &path]).output().unwrap();
+            String::from_utf8(read.stdout).unwrap().trim().parse().unwrap()
+        };
+        (counter("rx"), counter("tx"))
+    }
+
+    fn tell(&mut self, line: &str) {
+        let (_, input) = self.switch.as_mut().unwrap();
+        writeln!(input, "{line}").unwrap();
+    }
+
+    fn index(&self, name: &str) -> usize {
+        self.names.iter().position(|known| known == name).unwrap_or_else(|| panic!("no computer {name}"))
+    }
+
+    fn namespace(&self, name: &str) -> String {
+        format!("spandrel-{}-{}-{name}", std::process::id(), self.number)
+    }
+
+    fn device(&self, index: usize) -> String {
+        format!("sp{}x{}x{index}", std::process::id(), self.number)
+    }
+}
+
+impl Drop for Lab {
+    fn drop(&mut self) {
+        if let Some((mut switch, input)) = self.switch.take() {
+            drop(input);
+            let _ = switch.kill(); // its devices go with it
+            let _ = switch.wait();
+        }
+        for name in &self.names {
+            let _ = ip(&["netns", "delete", &self.namespace(name)]); // the first that could not be made is not there
+        }
+    }
+}
+
+/// Deletes the namespaces of tests that were killed.
+fn remove_leftovers() {
+    let Ok(listed) = Command::new("ip").args(["netns", "list"]).output() else { return };
+    for namespace in String::from_utf8_lossy(&listed.stdout).lines().filter_map(|line| line.split(' ').next()) {
+        let process = namespace.strip_prefix("spandrel-").and_then(|rest| rest.split('-').next());
+        if process.is_some_and(|process| !Path::new("/proc").join(process).exists()) {
+            let _ = ip(&["netns", "delete", namespace]); // another test may have done it
+        }
+    }
+}
+
+fn ip(arguments: &[&str]) -> Result<(), String> {
+    let told = format!("`ip {}`", arguments.join(" "));
+    let done = Command::new("ip").args(arguments).output().map_err(|error| format!("{told} cannot be run: {error}"))?;
+    match done.status.success() {
+        true => Ok(()),
+        false => Err(format!("{told} fails: {}", String::from_utf8_lossy(&done.stderr).trim())),
+    }
+}
+
+fn start_switch(seed: u64, devices: &[String]) -> Result<(Child, ChildStdin), String> {
+    let script: PathBuf = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/support/links.py");
+    let mut command = Command::new("python3");
+    command.arg(script).arg(seed.to_string()).args(devices).stdin(Stdio::piped()).stdout(Stdio::piped());
+    let mut switch = command.spawn().map_err(|error| format!("python3 cannot be run: {error}"))?;
+    let (input, output) = (switch.stdin.take().unwrap(), switch.stdout.take().unwrap());
+    let mut said = String::new();
+    BufReader::new(output).read_line(&mut said).unwrap();
+    match said.trim() {
+        "ready" => Ok((switch, input)),
+        _ => {
+            let _ = switch.wait();
+            Err("tests/support/links.py cannot make TAP devices".to_owned())
+        }
+    }
+}
