@@ -5,8 +5,8 @@
 //! cargo test -p spandrel --test traffic -- --ignored --nocapture
 //! ```
 //!
-//! Takes six minutes and what [`Lab`] needs. The node is a computer of its own, a network namespace; all others run beside the
-//! station, so that the fusions are those of the whole structure, at a tenth of the rate: their messages are as long, and two
+//! Takes seven minutes and what [`Lab`] needs. The node is a computer of its own, a network namespace; all others run beside the
+//! station, so that the fusions are those of the whole structure, at a fifth or a tenth of the rate: their messages are as long, and two
 //! cores can do all of them.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
@@ -33,11 +33,13 @@ struct Example {
     node: &'static str,
     modes: usize,
     published: f64,
+    /// the other nodes have this part of the rate; ten instants have to divide their samples of a second
+    part: f64,
 }
 
 const EXAMPLES: [Example; 2] = [
-    Example { file: "forty-storey-building.toml", node: "floor-1", modes: 5, published: 0.170 },
-    Example { file: "two-pier-bridge.toml", node: "node-2", modes: 6, published: 0.068 },
+    Example { file: "forty-storey-building.toml", node: "floor-1", modes: 5, published: 0.170, part: 5.0 },
+    Example { file: "two-pier-bridge.toml", node: "node-2", modes: 6, published: 0.068, part: 10.0 },
 ];
 
 /// Bytes per second: payload and Ethernet frames, away from the node and to it.
@@ -165,10 +167,10 @@ async fn distributed(text: &str, node: &str) -> Option<(Traffic, f64)> {
     Some((traffic, used as f64 / of_node.len() as f64))
 }
 
-/// The text with all nodes but one sampled at a tenth of the rate.
-fn slower(text: &str, but: &str) -> String {
+/// The text with all nodes but one sampled at a part of the rate.
+fn slower(text: &str, but: &str, part: f64) -> String {
     let rate = text.lines().find_map(|line| line.strip_prefix("sampling-rate-hz = ")).unwrap();
-    let slow = format!("sampling-rate-hz = {}", rate.parse::<f64>().unwrap() / 10.0);
+    let slow = format!("sampling-rate-hz = {}", rate.parse::<f64>().unwrap() / part);
     let mut nodes = text.split("[[node]]\n").map(str::to_owned);
     let before = nodes.next().unwrap();
     let is_one = |node: &String| node.starts_with(&format!("name = \"{but}\""));
@@ -183,11 +185,11 @@ fn without_fusion(text: &str) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-#[ignore = "measures for six minutes; prints the table of docs/distributed.md"]
+#[ignore = "measures for seven minutes; prints the table of docs/distributed.md"]
 async fn traffic_of_a_node_on_the_wire() {
     println!("| | payload up | down | wire up | down | payload / raw | both ways | wire / raw | nodes in a fusion |");
     println!("|---|---|---|---|---|---|---|---|---|");
-    for Example { file, node, modes, published } in EXAMPLES {
+    for Example { file, node, modes, published, part } in EXAMPLES {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(file);
         let text = std::fs::read_to_string(path).unwrap();
         let Some(raw) = raw(&text, node).await else { return };
@@ -207,9 +209,10 @@ async fn traffic_of_a_node_on_the_wire() {
             (format!("modes, published {published:.3}"), of_modes.as_str()),
             ("densities".to_owned(), ""),
             ("densities and responses".to_owned(), "motion = \"responses\""),
+            ("densities and samples".to_owned(), "motion = \"samples\""),
         ];
         for (name, fusion) in kinds {
-            let text = without_fusion(&slower(&text, node)).replacen(
+            let text = without_fusion(&slower(&text, node, part)).replacen(
                 "[simulation]",
                 &format!("[fusion]\ndetector = \"none\"\n{fusion}\n[simulation]"),
                 1,
