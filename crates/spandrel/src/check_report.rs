@@ -180,7 +180,8 @@ fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
         | Finding::HastyLevel { .. }
         | Finding::BandLimited { .. }
         | Finding::AliasedModes { .. }
-        | Finding::SubstepsNeeded { .. } => None,
+        | Finding::SubstepsNeeded { .. }
+        | Finding::ModesMissMass { .. } => None,
     });
     verdicts.reduce(|worst, _| worst).unwrap_or_else(|| "identified".to_owned())
 }
@@ -212,7 +213,8 @@ fn advice(structure: &Structure, finding: &Finding) -> Option<String> {
         Finding::HastyLevel { .. }
         | Finding::BandLimited { .. }
         | Finding::AliasedModes { .. }
-        | Finding::SubstepsNeeded { .. } => None,
+        | Finding::SubstepsNeeded { .. }
+        | Finding::ModesMissMass { .. } => None,
     }
 }
 

@@ -119,7 +119,8 @@ impl Structure {
         let time_step = self.time_step(modes.as_ref());
         let modes = modes.map(|modes| self.mode_reports(&modes)).unwrap_or_default();
         let band_limit_hz = self.band_limit.map(|limit| limit.frequency_hz);
-        let findings = find(identification.as_ref(), &time_step, &modes, self.sampling_rate_hz, band_limit_hz);
+        let findings =
+            find(identification.as_ref(), &time_step, &modes, self.sampling_rate_hz, band_limit_hz, self.sent_modes());
         CheckReport { structure: self.name.clone(), modes, time_step, identification, findings }
     }
 

@@ -15,6 +15,9 @@ const SLOW: f64 = 2.0;
 /// An adapted level that moves this much faster than its half-life runs after single gusts and shocks.
 const HASTY: f64 = 5.0;
 
+/// Modes that nodes send may miss this share of the mass that the excitation sets going: Huang & Yuen (2023), chapter 6.
+const MISSED_MASS: f64 = 0.05;
+
 /// How serious a finding is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -97,6 +100,13 @@ pub enum Finding {
         /// Highest natural frequency of the model (Hz).
         highest_frequency_hz: f64,
     },
+    /// The modes that nodes send of the motion leave out too much of it.
+    ModesMissMass {
+        /// Modes that are sent.
+        modes: usize,
+        /// Share of the mass, set going by the excitation, that they miss.
+        missed: f64,
+    },
 }
 
 impl Finding {
@@ -109,6 +119,7 @@ impl Finding {
             | Self::ParametersConfounded { .. }
             | Self::LevelConfounded { adapted: true, .. }
             | Self::SlowToSettle { .. }
+            | Self::ModesMissMass { .. }
             | Self::HastyLevel { .. } => Severity::Warning,
             Self::LevelConfounded { adapted: false, .. }
             | Self::BandLimited { .. }
@@ -175,6 +186,12 @@ impl fmt::Display for Finding {
                 "each time step is cut into {substeps} substeps, because the model reaches {highest_frequency_hz:.1} Hz: \
                  a higher sampling rate or a coarser model would be cheaper"
             ),
+            Self::ModesMissMass { modes, missed } => write!(
+                f,
+                "the {modes} modes that nodes send miss {:.0} % of the mass that the excitation sets going: give more modes, or none, \
+                 which keeps as many as are needed",
+                100.0 * missed
+            ),
         }
     }
 }
@@ -186,6 +203,7 @@ pub(super) fn find(
     modes: &[ModeReport],
     sampling_rate_hz: f64,
     band_limit_hz: Option<f64>,
+    sent_modes: Option<(usize, f64)>,
 ) -> Vec<Finding> {
     let mut findings = match identification {
         None => vec![Finding::NotObservable],
@@ -202,6 +220,9 @@ pub(super) fn find(
     if time_step.substeps > 1 {
         let TimeStepReport { substeps, highest_frequency_hz, .. } = *time_step;
         findings.push(Finding::SubstepsNeeded { substeps, highest_frequency_hz });
+    }
+    if let Some((modes, missed)) = sent_modes.filter(|(_, missed)| *missed > MISSED_MASS) {
+        findings.push(Finding::ModesMissMass { modes, missed });
     }
     findings.sort_by_key(Finding::severity);
     findings

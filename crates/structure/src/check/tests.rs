@@ -233,3 +233,20 @@ fn time_in_which_an_error_decays_is_positive_or_infinite() {
         }
     }
 }
+
+#[test]
+fn modes_that_miss_the_mass_that_moves_are_warned_of() {
+    // of the bridge the seventh mode carries two thirds
+    let bridge = include_str!("../../../../docs/examples/two-pier-bridge.toml");
+    let (start, end) = (bridge.find("[fusion]").unwrap(), bridge.find("[simulation]").unwrap());
+    let missed = |modes: &str| {
+        let text = format!("{}[fusion]\nmotion = \"modes\"\n{modes}\n{}", &bridge[..start], &bridge[end..]);
+        parse(&text).check(1.0, 1).findings.into_iter().find_map(|finding| match finding {
+            Finding::ModesMissMass { modes, missed } => Some((modes, missed, finding.severity())),
+            _ => None,
+        })
+    };
+    assert_eq!(missed(""), None);
+    let (modes, share, severity) = missed("modes = 6").expect("a warning");
+    assert!(modes == 6 && share > 0.5 && severity == Severity::Warning, "{share}");
+}
