@@ -7,8 +7,8 @@ use crate::parameter::Scales;
 use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::fusion::{
-    CovarianceScheme, FeedbackRule, FusionRule, Gaussian, GlobalDetector, LocalFilter, ModalBasis, MotionExchange,
-    NodeSettings, Responses, SampleExchange, Station, StationSettings, Weights,
+    CompressedMotion, CovarianceScheme, FeedbackRule, FusionRule, Gaussian, GlobalDetector, LocalFilter, ModalBasis,
+    MotionExchange, NodeSettings, Responses, SampleExchange, Station, StationSettings, Weights,
 };
 use spandrel_filter::{ExtendedKalmanFilter, FilterError, FilterSettings};
 
@@ -193,6 +193,15 @@ impl Structure {
                 (density + exchange.numbers(position), density + all - exchange.numbers(position))
             }
         })
+    }
+
+    /// Returns displacements and velocities (2 N_d; m, rad, m/s, rad/s) of a motion that is fused in modes; `None` where none is.
+    #[must_use]
+    pub fn extract_motion(&self, motion: &CompressedMotion) -> Option<DVector<f64>> {
+        match self.motion_exchange().ok()? {
+            MotionExchange::Modes(basis) if motion.mean.len() == 2 * basis.modes() => Some(basis.extract(&motion.mean)),
+            _ => None,
+        }
     }
 
     fn motion_exchange(&self) -> Result<MotionExchange, FilterError> {

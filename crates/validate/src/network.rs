@@ -4,7 +4,7 @@ use crate::error::ValidateError;
 use crate::run::Run;
 use crate::scene::Course;
 use crate::statistics::Accuracy;
-use spandrel_filter::fusion::{NodeReport, Taken};
+use spandrel_filter::fusion::{CompressedMotion, NodeReport, Taken};
 use spandrel_filter::{ExtendedKalmanFilter, FilterSettings, Frame};
 use spandrel_structure::{Structure, StructureModel};
 
@@ -16,6 +16,8 @@ pub(crate) struct Fused {
     pub(crate) local: Vec<Vec<Course>>,
     /// by fusion and node
     pub(crate) reports: Vec<Vec<NodeReport>>,
+    /// by fusion: the motion in modes, where it is sent so
+    pub(crate) motion: Vec<Option<CompressedMotion>>,
     /// times nodes started anew
     pub(crate) restarts: u64,
 }
@@ -76,6 +78,7 @@ impl Network<'_> {
             courses: vec![Course::default(); parameters],
             local: vec![vec![Course::default(); parameters]; nodes.len()],
             reports: Vec::new(),
+            motion: Vec::new(),
             restarts: 0,
         };
         let excitation = vec![0.0; structure.excitations().len()];
@@ -114,6 +117,7 @@ impl Network<'_> {
                 course.take(time_s, result.parameters.mean[j], result.parameters.covariance[(j, j)], truth[j]);
             }
             fused.reports.push(result.nodes);
+            fused.motion.push(result.motion);
             if !run.advance(shares.0 + (shares.1 - shares.0) * frame as f64 / self.frames as f64) {
                 return Err(ValidateError::Stopped);
             }

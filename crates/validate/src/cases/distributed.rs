@@ -8,8 +8,8 @@ use crate::figure::{Figure, Required};
 use crate::network::{Fused, settled};
 use crate::outcome::Outcome;
 use crate::run::Run;
-use crate::scene::{Course, Plan, Scene};
-use crate::statistics::Mean;
+use crate::scene::{self, Course, Plan, Scene};
+use crate::statistics::{Accuracy, Mean};
 use spandrel_structure::Structure;
 
 const BUILDING: &str = include_str!("../../../../docs/examples/forty-storey-building.toml");
@@ -39,6 +39,9 @@ struct Example {
     traffic: (usize, usize, f64),
     /// largest fused error over the centralised one
     ratio: f64,
+    /// degrees of freedom whose fused motion is compared, and least correlation of displacements and of velocities
+    watched: &'static [&'static str],
+    correlations: (f64, f64),
 }
 
 const OF_BUILDING: Example = Example {
@@ -52,6 +55,8 @@ const OF_BUILDING: Example = Example {
     frequencies: (&[0.2530, 0.7586, 1.2631, 1.7656, 2.2656], 1e-4),
     traffic: (5, 85, 0.170),
     ratio: 1.5,
+    watched: &["floor-10", "floor-20", "floor-30", "floor-40"],
+    correlations: (0.99, 0.98),
 };
 
 const OF_BRIDGE: Example = Example {
@@ -65,6 +70,8 @@ const OF_BRIDGE: Example = Example {
     frequencies: (&[0.315, 0.790, 0.968, 1.087, 1.110], 1e-3),
     traffic: (6, 68, 0.068),
     ratio: 1.5,
+    watched: &["node-6-r", "node-12-y", "node-15-x"],
+    correlations: (0.95, 0.9),
 };
 
 pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
@@ -98,9 +105,13 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
         format!("{modes}\nrule = \"published\"\nfeedback = \"reset\""),
     ]
     .map(|fusion| variant(example.text, rate_hz, damages, &fusion));
-    let simulate = |text: &str, seconds: f64| {
-        Scene::simulate(&Plan { text, seconds, noise_share: 0.05, watched: &|_: &Structure| Vec::new() }, run)
+    let watched = |structure: &Structure| {
+        let mut states = scene::states_of(structure, example.watched, false);
+        states.extend(scene::states_of(structure, example.watched, true));
+        states
     };
+    let simulate =
+        |text: &str, seconds: f64| Scene::simulate(&Plan { text, seconds, noise_share: 0.05, watched: &watched }, run);
     let scene = simulate(&marginal, seconds)?;
     let fuse = |scene: &Scene, shares| {
         let data = |frame: usize, channel: usize| scene.data(frame)[channel];
@@ -191,6 +202,7 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
             judged(Required::AtMost(example.ratio)),
         ),
     ]);
+    figures.extend(motion(&scene, &by_marginal, example, rate_hz));
     figures.extend(freezing(&as_published, scene.structure.nodes().len()));
 
     let mut plots = Vec::new();
@@ -225,6 +237,37 @@ fn coverage(courses: &[Course], damages: &[f64]) -> f64 {
     let mut mean = Mean::default();
     courses.iter().for_each(|course| mean.take(settled(course, COUNTED_FROM_S, damages, AFTER_DAMAGE_S).coverage()));
     mean.value()
+}
+
+/// Fused motion at the fusions against the true one.
+fn motion(scene: &Scene, fused: &Fused, example: &Example, rate_hz: f64) -> Vec<Figure> {
+    let mut accuracies = vec![Accuracy::default(); 2 * example.watched.len()];
+    for (fusion, motion) in fused.motion.iter().enumerate() {
+        let frame = (fusion + 1) * rate_hz as usize - 1;
+        let state = motion.as_ref().and_then(|motion| scene.structure.extract_motion(motion));
+        let Some(state) = state.filter(|_| scene.time_s(frame) >= COUNTED_FROM_S) else { continue };
+        for ((accuracy, number), truth) in accuracies.iter_mut().zip(scene.watched()).zip(scene.states(frame)) {
+            accuracy.take(state[*number], f64::NAN, *truth);
+        }
+    }
+    let (displacements, velocities) = accuracies.split_at(example.watched.len());
+    // not a number where nothing was compared, which no requirement is met by
+    let lesser = |a: f64, b: f64| if a.is_nan() || b.is_nan() { f64::NAN } else { a.min(b) };
+    let least = |of: &[Accuracy]| of.iter().map(Accuracy::correlation).fold(1.0, lesser);
+    let (of_displacements, of_velocities) = example.correlations;
+    let degrees = example.watched.join(", ");
+    vec![
+        Figure::new(
+            format!("{degrees}: least correlation of fused and true displacements at the fusions"),
+            least(displacements),
+            Required::AtLeast(of_displacements),
+        ),
+        Figure::new(
+            format!("{degrees}: least correlation of fused and true velocities at the fusions"),
+            least(velocities),
+            Required::AtLeast(of_velocities),
+        ),
+    ]
 }
 
 /// The published product counts the shared prior once for every node: deviations shrink by `√(N_s λ⁻ⁿ)` a fusion.
