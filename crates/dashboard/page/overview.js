@@ -28,6 +28,8 @@ function summary(structures) {
   if (structures.length === 0) return "No structure is watched.";
   const urgent = structures.filter(({ level }) => level === "alarm" || level === "stale" || level === "warning");
   const of = structures.length === 1 ? "1 structure" : `${structures.length} structures`;
+  const seen = structures.filter(({ level }) => level === "notice").map(({ name }) => name);
+  if (urgent.length === 0 && seen.length > 0) return `${LEVELS.notice.sign} ${of} watched, nothing new; somebody has seen: ${seen.join(", ")}.`;
   if (urgent.length === 0) return `✓ ${of} watched, nothing needs attention.`;
   const names = urgent.map(({ name }) => name).join(", ");
   return `${LEVELS[urgent[0].level].sign} ${urgent.length} of ${of} ${urgent.length === 1 ? "needs" : "need"} attention: ${names}.`;
@@ -90,8 +92,8 @@ function updateCard({ element, fields, sign, word, sentence, stale }, structure)
 
 /** Says beside any other level that nothing new comes. */
 export function showStale(badge, { age_s, level }) {
-  badge.hidden = level === "stale" || age_s === null || age_s < 3;
-  if (!badge.hidden) setText(badge, `${LEVELS.stale.sign} no new data for ${duration(age_s)}`);
+  badge.hidden = level === "stale" || level === "learning" || (age_s !== null && age_s < 3);
+  if (!badge.hidden) setText(badge, `${LEVELS.stale.sign} ${age_s === null ? "no data yet" : `no new data for ${duration(age_s)}`}`);
 }
 
 /** How old the data of a structure are. */

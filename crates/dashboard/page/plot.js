@@ -5,7 +5,7 @@ import { clock } from "./words.js";
 
 /* global uPlot */
 
-const HEIGHT = 190;
+const HEIGHT = 220;
 /** A hole in time this many usual steps long is drawn as a hole. */
 const HOLE_STEPS = 8;
 
@@ -32,12 +32,18 @@ export class Plot {
     Object.assign(this, { plot, points, span });
     this.readout = h("p", { class: "readout" });
     this.holder = h("div", { class: "plot-holder" });
+    const legend = (plot.legend ?? []).map(({ name, colour }) => {
+      const key = h("span", { class: "key", "aria-hidden": "true" });
+      key.style.setProperty("--key", `var(${colour})`);
+      return h("li", {}, key, name);
+    });
     const csv = h("a", { class: "button small", href: "#", onclick: (event) => (event.currentTarget.href = points.csv(plot.names)), download: `${points.structure}-${plot.file}.csv` }, "CSV");
     const png = h("button", { class: "small", type: "button", onclick: () => this.#png() }, "PNG");
     csv.setAttribute("aria-label", `${plot.title}: download as CSV`);
     png.setAttribute("aria-label", `${plot.title}: download as PNG`);
     this.head = h("div", { class: "plot-head" }, h("h3", {}, plot.title), h("span", { class: "files" }, csv, png));
-    this.element = h("section", { class: "plot", id: `plot-${plot.file}`, "data-plot": plot.file }, this.head, this.readout, this.holder);
+    const key = legend.length > 0 ? h("ul", { class: "legend" }, legend) : [];
+    this.element = h("section", { class: "plot", id: `plot-${plot.file}` }, this.head, this.readout, key, this.holder);
     this.seen = new IntersectionObserver((entries) => this.#see(entries.at(-1).isIntersecting), { rootMargin: "200px" });
     this.seen.observe(this.element);
     this.resized = new ResizeObserver(() => this.#resize());
@@ -132,7 +138,7 @@ export class Plot {
       scales: { x: { time: true }, y: { range: this.plot.range ?? padded } },
       axes: [
         { ...axis, space: isNarrow ? 70 : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: "time (UTC)", labelSize: 18 },
-        { ...axis, label: this.plot.unit, labelSize: 20, size: isNarrow ? 54 : 62, values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? compact(tick)) },
+        { ...axis, label: this.plot.unit, labelSize: 20, space: 24, size: isNarrow ? 54 : 62, values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? compact(tick)) },
       ],
       series: [{}, ...this.plot.series().map((one) => ({ points: { show: false }, ...one }))],
       bands: this.plot.bands?.() ?? [],

@@ -53,7 +53,8 @@ export function parameterPlot(parameter, standing, points, span) {
       bands: bandFills,
       // the threshold stays in sight, and the wide bands of the first seconds do not make all else flat
       range: (u) => {
-        const seen = (column) => column.filter((value, row) => value !== null && u.data[0][row] >= u.scales.x.min && u.data[0][row] <= u.scales.x.max);
+        const { min, max } = span.shown;
+        const seen = (column) => column.filter((value, row) => value !== null && u.data[0][row] >= min && u.data[0][row] <= max);
         const ends = [quantile(seen(u.data[2]), 0.05), quantile(seen(u.data[3]), 0.95), ...seen(u.data[1]).slice(-1), parameter.stiffness ? threshold().y : null];
         const known = ends.filter((end) => end !== null);
         if (known.length === 0) return [0, 2];
@@ -106,7 +107,7 @@ export function innovationPlot(sensor, points, span) {
     {
       title: `Innovations of ${sensor.channel}`,
       file: `innovation-${sensor.channel}`,
-      unit: `observed − predicted (${unit(sensor.unit)})`,
+      unit: unit(sensor.unit),
       names: [name],
       rows: (columns) => columns.get(name),
       series: () => [line(1, { width: 1, dash: [] }), line(1, { width: 1, dash: [] })],
@@ -123,9 +124,9 @@ export function innovationPlot(sensor, points, span) {
 export function consistencyPlot(points, span) {
   return new Plot(
     {
-      title: "Model and data",
+      title: "Normalised innovation squared",
       file: "consistency",
-      unit: "normalised innovation² (1)",
+      unit: "per channel (1)",
       names: ["consistency/all"],
       rows: (columns) => columns.get("consistency/all"),
       series: () => [line(2, { dash: [], width: 1.5 })],
@@ -145,7 +146,7 @@ export function outlierPlot(channel, points, span) {
     {
       title: `Outliers of ${channel}`,
       file: `outlier-${channel}`,
-      unit: "rejected samples (%)",
+      unit: "rejected (%)",
       names: [name],
       rows: (columns) => [columns.get(name)[0], columns.get(name)[1].map((share) => 100 * share), columns.get(name)[2]],
       series: () => [line(3, { dash: [], fill: () => css("--band-997") }), { show: false }],
@@ -164,6 +165,7 @@ export function classPlot(classes, points, span) {
     {
       title: "Plausibility of the model classes",
       file: "classes",
+      legend: classes.map((name, index) => ({ name, colour: `${COLOURS[index % COLOURS.length]}-fill` })),
       unit: "plausibility (1)",
       names,
       rows: (columns) => stacked(names.map((name) => columns.get(name))),
@@ -196,7 +198,8 @@ export function nodePlot(nodes, points, span) {
     {
       title: "Nodes: distance from the others",
       file: "nodes",
-      unit: "Mahalanobis distance (1)",
+      legend: nodes.map((name, index) => ({ name, colour: COLOURS[index % COLOURS.length] })),
+      unit: "distance (1)",
       names,
       rows: (columns) => aligned(names.map((name) => columns.get(name))),
       series: () => [...names.map((_, index) => line(index, { width: 1.5 })), { stroke: () => css("--alarm"), width: 2, dash: [6, 4] }],

@@ -173,6 +173,7 @@ export class StructurePage {
       setText(part.interval, shown ? `${ratio(shown.interval.low)} to ${ratio(shown.interval.high)}` : "–");
       const p = parameter.stiffness ? shown?.probability_of_loss : null;
       setText(part.text, p === null ? "not a stiffness" : probability(p));
+      part.bar.hidden = p === null;
       part.bar.dataset.step = step(p) ?? "";
       part.bar.style.setProperty("--share", p ?? 0);
     };
@@ -246,13 +247,13 @@ export class StructurePage {
   }
 
   #draw() {
-    if (document.hidden) return;
+    if (document.hidden || !this.ranges) return;
     this.ranges.update();
     this.#plots.forEach((plot) => plot.draw());
   }
 
   #respan() {
-    this.ranges.update();
+    this.ranges?.update();
     this.#plots.forEach((plot) => plot.restart());
   }
 
@@ -293,7 +294,7 @@ class RangeBar {
 
   #words() {
     const { span } = this;
-    const kept = span.lacks ? ` · kept since ${time(span.keptFrom_s)}, older data are not stored yet` : "";
-    return (span.isLive ? "follows the newest data" : `${time(span.from_s)} – ${time(span.to_s)} (${duration(span.to_s - span.from_s)})`) + kept;
+    const kept = span.lacks ? ` · kept since ${time(span.keptFrom_s)}` : "";
+    return (span.isLive ? "newest data" : `${time(span.from_s)} – ${time(span.to_s)} (${duration(span.to_s - span.from_s)})`) + kept;
   }
 }

@@ -97,7 +97,7 @@ export function clock(seconds, digits = 0) {
 /** How far behind the sensors the identification is. */
 export function lag(seconds) {
   if (seconds === null) return "–";
-  if (seconds < -1) return `ahead of time by ${duration(seconds)}`;
+  if (seconds < -1) return `−${duration(seconds)} (ahead of time)`;
   return duration(Math.max(seconds, 0));
 }
 

@@ -149,22 +149,20 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
         return (Level::Alarm, format!("{}{others}", first.why));
     }
     if store.is_stale() {
-        let since = "nothing is measured any more: what is shown is how it was";
-        return (Level::Stale, since.to_owned());
+        return (Level::Stale, "nothing is measured: what is shown is how it was".to_owned());
     }
     if let Some(pending) = alerts_in(store, AlertState::Pending).next() {
         return (Level::Warning, pending.why.clone());
     }
     if !sensors.troubled.is_empty() {
-        let (verb, names) = (if sensors.troubled.len() == 1 { "does" } else { "do" }, sensors.troubled.join(", "));
-        return (Level::Warning, format!("{names} {verb} not deliver: the estimates rest on the other sensors"));
+        let names = sensors.troubled.join(", ");
+        return (Level::Warning, format!("not used: {names}; the estimates rest on the other sensors"));
     }
     if let Some(missing) = missing_service(store) {
         return (Level::Warning, format!("the service {} is gone", missing.as_str()));
     }
     if let Some(seen) = alerts_in(store, AlertState::Acknowledged).next() {
-        let who = seen.acknowledged_by.as_deref().unwrap_or("somebody");
-        return (Level::Notice, format!("acknowledged by {who}: {}", seen.why));
+        return (Level::Notice, seen.why.clone());
     }
     if let Some(cleared) = alerts_in(store, AlertState::Cleared).next() {
         return (Level::Notice, cleared.why.clone());

@@ -202,6 +202,9 @@ impl Store {
 
     fn take_interval(&mut self, interval: &Interval) {
         self.phase = Some(interval.phase);
+        if self.about.distributed {
+            return; // a station has estimates, but no innovations
+        }
         for (row, (least, largest)) in interval.ends.iter().enumerate() {
             let Some(channel) = self.about.observed_channel(row).map(str::to_owned) else { return };
             if least.is_finite() {
@@ -282,9 +285,12 @@ impl Store {
         Some(self.now.saturating_sub(self.data_heard?))
     }
 
-    /// Whether data have come and come no longer.
+    /// Whether data come no longer, or do not come although somebody has decided on some before.
     pub(crate) fn is_stale(&self) -> bool {
-        self.silence().is_some_and(|silence| silence > STALE_AFTER)
+        match self.silence() {
+            Some(silence) => silence > STALE_AFTER,
+            None => self.now > STALE_AFTER && !self.alerts.is_empty(),
+        }
     }
 
     /// The note of whoever acknowledged an alert.

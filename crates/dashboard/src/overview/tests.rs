@@ -36,7 +36,7 @@ fn a_silence_is_told_but_does_not_hide_an_alarm() {
     store.handle(parameter("storey-1", 4, 1.0, 0.001));
     let found = overview(&store);
     assert_eq!(found.level, Level::Notice);
-    assert!(found.sentence.starts_with("acknowledged by Ada: "), "{}", found.sentence);
+    assert_eq!(found.sentence, "storey-2 is acknowledged");
 }
 
 #[test]
@@ -80,6 +80,15 @@ fn a_service_that_has_gone_is_missed() {
     store.handle(Input::Present([].into()));
     let found = overview(&store);
     assert_eq!((found.level, found.sentence.as_str()), (Level::Warning, "the service alert is gone"));
+}
+
+#[test]
+fn alerts_that_stand_while_nothing_is_measured_are_how_it_was() {
+    let mut store = demo();
+    store.handle(Input::StandingAlert(alert("storey-2", 1, AlertState::Acknowledged)));
+    assert_eq!(overview(&store).level, Level::Notice);
+    store.handle(at(4.0));
+    assert_eq!(overview(&store).level, Level::Stale);
 }
 
 #[test]
