@@ -135,7 +135,7 @@ export class Drawing {
   #part(member, shapes, label, text, name) {
     const title = s("title", {});
     const parameter = member.parameters[0];
-    const element = s("g", { class: parameter ? "part" : "part known" }, title, shapes, name, label);
+    const element = s("g", { class: parameter ? "part" : "part known", "data-part": member.parts.join(" ") }, title, shapes, name, label);
     if (parameter) element.addEventListener("click", () => this.choose(parameter));
     this.#parts.push({ element, title, label, text, name: member.parts.join(", "), parameters: member.parameters });
     this.svg.append(element);

@@ -43,7 +43,7 @@ export class Plot {
     png.setAttribute("aria-label", `${plot.title}: download as PNG`);
     this.head = h("div", { class: "plot-head" }, h("h3", {}, plot.title), h("span", { class: "files" }, csv, png));
     const key = legend.length > 0 ? h("ul", { class: "legend" }, legend) : [];
-    this.element = h("section", { class: "plot", id: `plot-${plot.file}` }, this.head, this.readout, key, this.holder);
+    this.element = h("section", { class: "plot", id: `plot-${plot.id ?? plot.file}` }, this.head, this.readout, key, this.holder);
     this.seen = new IntersectionObserver((entries) => this.#see(entries.at(-1).isIntersecting), { rootMargin: "200px" });
     this.seen.observe(this.element);
     this.resized = new ResizeObserver(() => this.#resize());

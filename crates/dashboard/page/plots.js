@@ -28,7 +28,7 @@ const bandFills = () => [
 ];
 
 /** A parameter: estimate with bands, threshold, and marks of its alerts. */
-export function parameterPlot(parameter, standing, points, span) {
+export function parameterPlot(parameter, standing, points, span, id) {
   const name = `parameter/${parameter.name}`;
   const threshold = () => {
     const shown = standing()?.parameters[parameter.name];
@@ -46,6 +46,7 @@ export function parameterPlot(parameter, standing, points, span) {
     {
       title: parameter.name,
       file: `parameter-${parameter.name}`,
+      id,
       unit: parameter.stiffness ? "stiffness ratio (1)" : "ratio (1)",
       names: [name],
       rows: (columns) => [...meanWithBands(columns.get(name)), columns.get(name)[3]],

@@ -10,6 +10,8 @@ import { HEALTH, LEVELS, STATES, duration, lag, number, percent, place, probabil
 
 /** How often plots are drawn (ms), however often points come. */
 const DRAW_EVERY_MS = 250;
+/** Probability of loss from which on the course of a part is put on top. */
+const WORTH_SHOWING = 0.05;
 /** Seconds shown on each side of a moment that a link leads to. */
 const AROUND_S = 60;
 
@@ -84,6 +86,7 @@ export class StructurePage {
     this.table = h("tbody");
     const heads = ["Part", "State", "Estimate", "95 % interval", "Probability of loss"];
     const table = h("div", { class: "scroll" }, h("table", { class: "parameters" }, h("thead", {}, h("tr", {}, heads.map((text) => h("th", { scope: "col" }, text)))), this.table));
+    this.worst = h("div", { class: "worst" });
     this.ranges = new RangeBar(this.span);
     this.events = h("ul", { class: "events" });
     this.noEvents = h("p", { class: "group-text" }, "None since the dashboard was started.");
@@ -97,7 +100,7 @@ export class StructurePage {
       return section;
     };
     this.body.replaceChildren(
-      h("div", { class: "top" }, h("section", { class: "card" }, this.drawing.element), h("section", { class: "card" }, h("h2", {}, "Parts"), table)),
+      h("div", { class: "top" }, h("section", { class: "card" }, this.drawing.element), h("section", { class: "card" }, h("h2", {}, "Parts"), table, this.worst)),
       this.ranges.element,
       group("parameters", "Parameters", "Ratio to the design: 1 is as designed, 0.9 has lost 10 %. Line: estimate; bands: 50, 95 and 99.7 % intervals. Drag across a plot to zoom all of them."),
       group("classes", "Model classes"),
@@ -125,7 +128,28 @@ export class StructurePage {
     this.groups[group].holder.append(plot.element);
   }
 
+  /** Puts the course of the part that has most probably lost stiffness where it is seen first. */
+  #showWorst({ worst }) {
+    const { parameters } = this.about;
+    // among sound parts the order changes all the time and means nothing
+    const name = worst && worst.probability_of_loss >= WORTH_SHOWING ? worst.parameter : (this.worstPlot?.name ?? parameters[0]?.name);
+    const parameter = parameters.find((parameter) => parameter.name === name);
+    if (!parameter || this.worstPlot?.name === name) return;
+    if (this.worstPlot) this.#drop(this.worstPlot.plot);
+    const plot = parameterPlot(parameter, () => this.#standing, this.points, this.span, "worst");
+    this.worstPlot = { name, plot };
+    this.#plots.push(plot);
+    this.worst.replaceChildren(plot.element);
+  }
+
+  #drop(plot) {
+    plot.close();
+    plot.element.remove();
+    this.#plots = this.#plots.filter((other) => other !== plot);
+  }
+
   #attend(overview) {
+    if (this.about) this.#showWorst(overview);
     const level = LEVELS[overview.level];
     this.head.dataset.level = overview.level;
     const { sensors } = overview;
@@ -237,10 +261,8 @@ export class StructurePage {
       // another class changes the whole stack
       const old = this.#made.get("classes/all");
       if (old) {
-        old.close();
-        old.element.remove();
+        this.#drop(old);
         this.#made.delete("classes/all");
-        this.#plots = this.#plots.filter((plot) => plot !== old);
       }
       this.#plot("classes", "all", () => classPlot([...this.classes], this.points, this.span));
     }

@@ -97,18 +97,18 @@ async fn the_structure_is_drawn_and_plotted(browser: &mut Browser) {
     browser
         .wait(
             "storey 2 in the colour of a certain loss",
-            "document.querySelectorAll('.drawing .part')[1].dataset.step === '4'",
+            "document.querySelector('.drawing [data-part=storey-2]').dataset.step === '4'",
         )
         .await;
     let sound = browser.evaluate("document.querySelectorAll('.drawing .part[data-step=\"0\"]').length").await;
     assert_eq!(sound, 4, "the other storeys are sound");
     assert_eq!(browser.evaluate("document.querySelectorAll('.drawing .sensor').length").await, 6);
-    browser.wait("the plot of storey 2", "document.querySelector('#plot-parameter-storey-2 canvas').width > 100").await;
-    let readout = "document.querySelector('#plot-parameter-storey-2 .readout').textContent";
+    browser.wait("the plot of storey 2", "document.querySelector('#plot-worst canvas').width > 100").await;
+    let readout = "document.querySelector('#plot-worst .readout').textContent";
     browser.wait("its reading", &format!("/ UTC .*95 %: 0\\.8/.test({readout})")).await;
     browser.screenshot("structure-light").await;
     browser.prefer("dark").await;
-    browser.wait("the plot in other colours", "document.querySelector('#plot-parameter-storey-2 canvas')").await;
+    browser.wait("the plot in other colours", "document.querySelector('#plot-worst canvas')").await;
     browser.screenshot("structure-dark").await;
     browser.prefer("light").await;
     // innovations and noise levels have plots, and lie below
