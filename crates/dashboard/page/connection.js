@@ -6,7 +6,7 @@ const PAUSES_S = [0.5, 1, 2, 4, 8];
 const SILENT_AFTER_S = 5;
 
 export class Connection {
-  #listeners = { overview: [], structure: [], points: [], state: [] };
+  #listeners = { overview: [], structure: [], points: [], state: [], opened: [] };
   #structure = null;
   #socket = null;
   #attempts = 0;
@@ -54,7 +54,9 @@ export class Connection {
     socket.onmessage = (event) => {
       this.#heard = performance.now();
       this.#attempts = 0;
+      const isFirst = !this.#opened;
       this.#opened = true;
+      if (isFirst) this.#tell("opened");
       const message = JSON.parse(event.data);
       this.#tell(message.type, message);
     };

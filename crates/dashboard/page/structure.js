@@ -33,9 +33,11 @@ export class StructurePage {
     this.#leave = [
       connection.on("structure", ({ standing }) => this.#show(standing)),
       connection.on("points", ({ series }) => this.#take(series)),
+      // what came while nothing was heard, or belongs to another life of the server
+      connection.on("opened", () => this.#respan()),
       connection.on("overview", ({ structures }) => structures.filter((structure) => structure.name === name).forEach((own) => this.#attend(own))),
     ];
-    connection.listen(name);
+    this.connection = connection;
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
     this.recolour = () => this.#plots.forEach((plot) => plot.recolour());
     this.scheme.addEventListener("change", this.recolour);
@@ -64,15 +66,18 @@ export class StructurePage {
       const response = await fetch(`/api/structures/${encodeURIComponent(this.name)}`);
       const answer = await response.json();
       if (!response.ok) {
+        this.connection.listen(null);
         this.body.replaceChildren(h("p", { class: "empty" }, `${answer.error}; ${answer.allowed}. `, h("a", { href: "#/" }, "All structures")));
         return;
       }
+      if (!this.#isOpen) return;
       this.about = answer.about;
       this.#build();
       this.span.newest_s = answer.overview.time_s;
       this.#show(answer.standing);
       this.#attend(answer.overview);
       this.#goto(parameters);
+      this.connection.listen(this.name);
     } catch {
       this.body.replaceChildren(h("p", { class: "empty" }, "Spandrel cannot be reached. Trying again …"));
       setTimeout(() => this.#isOpen && this.#load(parameters), 2000);
@@ -180,8 +185,10 @@ export class StructurePage {
     }
     for (const channel of Object.keys(standing.outliers)) this.#plot("outliers", channel, () => outlierPlot(channel, this.points, this.span));
     standing.series.forEach((name) => this.#discover(name));
-    const nodes = Object.keys(standing.nodes);
-    if (nodes.length > 0) this.#plot("nodes", nodes.join(), () => nodePlot(nodes, this.points, this.span));
+    if (Object.keys(standing.nodes).length > 0) {
+      const nodes = [...new Set(this.about.drawing.sensors.map((sensor) => sensor.node))];
+      this.#plot("nodes", "all", () => nodePlot(nodes, this.points, this.span));
+    }
     this.dialog.update(standing.alerts);
     this.#plots.forEach((plot) => plot.plot.marks && plot.dirty());
   }
@@ -275,6 +282,7 @@ export class StructurePage {
   }
 
   #respan() {
+    this.span.keptFrom_s = null;
     this.ranges?.update();
     this.#plots.forEach((plot) => plot.restart());
   }

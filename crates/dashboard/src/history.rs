@@ -4,7 +4,7 @@
 //! its start. What lies before that is for the history service, under the keys of `Keys::history`; there is none yet, so
 //! that the answer says from when on it has everything.
 
-use crate::series::Table;
+use crate::series::{Series, Table};
 use crate::store::Store;
 use crate::topic::SeriesName;
 use serde::{Deserialize, Serialize};
@@ -84,7 +84,7 @@ impl Request {
         let refuse = |what: String, allowed: &str| Err(Refused { what, allowed: allowed.to_owned() });
         let mut series = Vec::new();
         for name in asked.series.as_deref().unwrap_or_default().split(',').filter(|name| !name.is_empty()) {
-            match SeriesName::parse(name).filter(|name| store.series(name).is_some()) {
+            match SeriesName::parse(name).filter(|name| store.may_have(name)) {
                 Some(name) => series.push(name),
                 None => {
                     let known: Vec<String> = store.series_names().map(ToString::to_string).collect();
@@ -118,12 +118,14 @@ pub(crate) fn read(store: &Store, request: &Request) -> Span {
     let mut kept_from_ns = None;
     let mut series = Vec::new();
     for name in &request.series {
-        let Some(found) = store.series(name) else { continue };
-        kept_from_ns = kept_from_ns.max(found.first_ns());
-        let table = found.span(request.from_ns, request.to_ns, request.points);
+        let found = store.series(name);
+        kept_from_ns = kept_from_ns.max(found.and_then(Series::first_ns));
+        // what may come and has not yet is empty
+        let span = |series: &Series| series.span(request.from_ns, request.to_ns, request.points);
+        let table = found.map(span).unwrap_or_default();
         series.push(SpanOfSeries {
             name: name.to_string(),
-            generation: found.generation(),
+            generation: found.map_or(0, Series::generation),
             columns: std::iter::once("time_s").chain(name.kind.columns().iter().copied()).collect(),
             data: columns(&table, name.kind.columns().len()),
             table,

@@ -1,6 +1,6 @@
 //! How each sensor does, from all that is said of it.
 
-use crate::store::Store;
+use crate::store::{ALL_CHANNELS, Store};
 use crate::topic::{Kind, SeriesName};
 use serde::Serialize;
 use spandrel_bus::{ChannelState, Name, NodeHealth, Service};
@@ -94,7 +94,7 @@ fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
 
 /// Since when estimates have been heard.
 fn began_ns(store: &Store) -> Option<i64> {
-    store.series(&SeriesName::new(Kind::Consistency, "all"))?.first_ns()
+    store.series(&SeriesName::new(Kind::Consistency, ALL_CHANNELS))?.first_ns()
 }
 
 /// Whether no node is there any more: a record or simulation that has ended, or everything is off, which silence tells.

@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 const FINE_KEPT: usize = 6_000;
 /// Points that become one when they are kept for longer.
 const COMBINED: usize = 10;
-/// Combined points kept: together with the fine ones a little less than two hours at 10 Hz.
+/// Combined points kept: 100 minutes at 10 Hz.
 const COARSE_KEPT: usize = 6_000;
 
 /// How several values of one column become one.

@@ -17,6 +17,8 @@ const CHANGES_KEPT: usize = 500;
 const EVENTS_KEPT: usize = 200;
 /// Model classes of which plausibilities are kept; more are shown as they stand, but not over time.
 const MOST_CLASSES: usize = 64;
+/// Name of what is about all channels together.
+pub(crate) const ALL_CHANNELS: &str = "all";
 /// After this silence data are old: display topics come at 10 Hz, status at 1 Hz.
 pub(crate) const STALE_AFTER: Duration = Duration::from_secs(3);
 
@@ -212,7 +214,7 @@ impl Store {
             }
             self.push(Kind::Innovation, &channel, interval.time_ns, &[*least, *largest]);
         }
-        self.push(Kind::Consistency, "all", interval.time_ns, &[interval.consistency]);
+        self.push(Kind::Consistency, ALL_CHANNELS, interval.time_ns, &[interval.consistency]);
     }
 
     fn take_alert(&mut self, alert: AlertMessage) {
@@ -303,6 +305,19 @@ impl Store {
     /// One series over time.
     pub(crate) fn series(&self, name: &SeriesName) -> Option<&Series> {
         self.series.get(name)
+    }
+
+    /// Whether there is or may come to be a series of this name.
+    pub(crate) fn may_have(&self, name: &SeriesName) -> bool {
+        let of = name.of.as_str();
+        match name.kind {
+            Kind::Parameter => self.about.parameters.iter().any(|parameter| parameter.name == of),
+            Kind::Noise => self.about.noise.iter().any(|level| level.name == of),
+            Kind::Innovation | Kind::Outlier => self.has_channel(of),
+            Kind::Consistency => of == ALL_CHANNELS,
+            Kind::Class => self.series.contains_key(name),
+            Kind::Node => self.about.drawing.sensors.iter().any(|sensor| sensor.node == of),
+        }
     }
 
     /// The names of all series that have points.

@@ -51,6 +51,18 @@ fn rows_of_a_file_have_one_time_and_empty_fields_where_nothing_was_measured() {
 }
 
 #[test]
+fn what_has_not_come_yet_is_empty_and_no_mistake() {
+    let store = demo();
+    let asked = Asked { series: Some("parameter/storey-3,consistency/all,noise/floors".into()), ..Asked::default() };
+    let span = read(&store, &Request::new(&asked, &store).unwrap());
+    assert_eq!(span.kept_from_s, None);
+    let widths: Vec<usize> = span.series.iter().map(|series| series.data.len()).collect();
+    assert_eq!(widths, [4, 2, 3]);
+    assert!(span.series.iter().all(|series| series.data[0].is_empty()));
+    assert_eq!(span.csv().lines().count(), 1);
+}
+
+#[test]
 fn what_cannot_be_asked_is_refused_with_what_can() {
     let unknown = refused(Asked { series: Some("parameter/storey-9".into()), ..Asked::default() });
     assert_eq!(unknown.what, "series `parameter/storey-9` is not known");
