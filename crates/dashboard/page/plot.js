@@ -69,6 +69,7 @@ export class Plot {
     this.#uplot?.destroy();
     this.#uplot = null;
     this.#isDirty = true;
+    this.draw();
   }
 
   /** Points or marks have come. */
