@@ -15,8 +15,19 @@ const BAD_INPUT: i32 = 2;
 const FAILED: i32 = 1;
 
 /// All subcommands.
-const SUBCOMMANDS: [&str; 12] = [
-    "demo", "run", "ingest", "identify", "alert", "simulate", "replay", "estimate", "baseline", "check", "validate",
+const SUBCOMMANDS: [&str; 13] = [
+    "demo",
+    "run",
+    "ingest",
+    "identify",
+    "alert",
+    "dashboard",
+    "simulate",
+    "replay",
+    "estimate",
+    "baseline",
+    "check",
+    "validate",
     "watch",
 ];
 

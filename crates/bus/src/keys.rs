@@ -152,6 +152,12 @@ impl Keys {
         self.below(&format!("outlier/{channel}"))
     }
 
+    /// Outliers of all channels.
+    #[must_use]
+    pub fn all_outliers(&self) -> String {
+        self.below("outlier/*")
+    }
+
     /// Events: restarts, calibrations, exclusions.
     #[must_use]
     pub fn event(&self) -> String {

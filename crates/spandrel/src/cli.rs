@@ -41,7 +41,7 @@ pub enum Command {
     Demo(DemoArguments),
     /// Run all services of one machine in one process.
     #[command(after_help = "Example: spandrel run --config spandrel.toml")]
-    Run(ServiceArguments),
+    Run(RunArguments),
     /// Align the samples of all nodes to frames, and keep them for those who missed some.
     #[command(after_help = "Example: spandrel ingest --config spandrel.toml")]
     Ingest(ServiceArguments),
@@ -55,6 +55,10 @@ pub enum Command {
     /// Decide on alerts from estimates.
     #[command(after_help = "Example: spandrel alert --config spandrel.toml")]
     Alert(ServiceArguments),
+    /// Serve a web page of parameters and alerts, with an HTTP interface and a WebSocket.
+    #[command(after_help = "Examples: spandrel dashboard bridge.toml --connect tcp/10.0.0.5:7447\n          \
+                            spandrel dashboard --config spandrel.toml --http 0.0.0.0:8080")]
+    Dashboard(RunArguments),
     /// Simulate a structure: to the bus, or to a file.
     #[command(after_help = "Examples: spandrel simulate tower.toml --record tower.csv --duration 600\n          \
                             spandrel simulate tower.toml --speed 1 --connect tcp/10.0.0.5:7447\n          \
@@ -122,6 +126,27 @@ pub struct ServiceArguments {
     pub bus: BusArguments,
 }
 
+/// Where the web page is served.
+#[derive(Debug, Clone, Default, Args)]
+#[command(next_help_heading = "Page")]
+pub struct PageArguments {
+    /// Address of the web page, such as 127.0.0.1:8080, or none; port 0 is any free one [default: 127.0.0.1:8080, a free
+    /// port if that is taken].
+    #[arg(long, value_name = "ADDRESS")]
+    pub http: Option<String>,
+    /// Open the page in a browser.
+    #[arg(long)]
+    pub open: bool,
+}
+
+#[derive(Debug, Args)]
+pub struct RunArguments {
+    #[command(flatten)]
+    pub service: ServiceArguments,
+    #[command(flatten)]
+    pub page: PageArguments,
+}
+
 /// How fast data are sent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Speed {
@@ -166,9 +191,12 @@ pub struct DemoArguments {
     /// Seed of excitation and noise.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// No view, only alerts and the result: for scripts.
-    #[arg(long)]
+    /// No view and no page, only alerts and the result: for scripts.
+    #[arg(long, conflicts_with_all = ["http", "open", "stay"])]
     pub headless: bool,
+    /// Keep the page after the end, until Ctrl-C; on a terminal that is so anyway.
+    #[arg(long)]
+    pub stay: bool,
     /// End with one JSON object.
     #[arg(long)]
     pub json: bool,
@@ -178,6 +206,8 @@ pub struct DemoArguments {
     /// Another structure file, with a simulation table, than the built-in one.
     #[arg(long, value_name = "STRUCTURE.toml")]
     pub structure: Option<PathBuf>,
+    #[command(flatten)]
+    pub page: PageArguments,
     #[command(flatten)]
     pub bus: BusArguments,
 }

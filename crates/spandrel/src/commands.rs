@@ -2,6 +2,7 @@
 
 mod baseline;
 mod check;
+mod dashboard;
 mod demo;
 mod estimate;
 mod progress;
@@ -24,11 +25,12 @@ use std::path::Path;
 pub fn run(command: Command) -> Result<(), AppError> {
     match command {
         Command::Demo(arguments) => demo::run(arguments),
-        Command::Run(arguments) => run::run(&arguments, run::Services::ALL, &[]),
-        Command::Ingest(arguments) => run::run(&arguments, run::Services::INGEST, &[]),
-        Command::Identify(arguments) => run::run(&arguments.service, run::Services::IDENTIFY, &arguments.node),
-        Command::Fuse(arguments) => run::run(&arguments, run::Services::FUSE, &[]),
-        Command::Alert(arguments) => run::run(&arguments, run::Services::ALERT, &[]),
+        Command::Run(arguments) => run::run(&arguments.service, run::Services::ALL, &[], &arguments.page),
+        Command::Ingest(arguments) => run::one(&arguments, run::Services::INGEST, &[]),
+        Command::Identify(arguments) => run::one(&arguments.service, run::Services::IDENTIFY, &arguments.node),
+        Command::Fuse(arguments) => run::one(&arguments, run::Services::FUSE, &[]),
+        Command::Alert(arguments) => run::one(&arguments, run::Services::ALERT, &[]),
+        Command::Dashboard(arguments) => dashboard::run(&arguments),
         Command::Simulate(arguments) => simulate::run(arguments),
         Command::Replay(arguments) => replay::run(arguments),
         Command::Estimate(arguments) => estimate::run(&arguments),

@@ -2,6 +2,7 @@
 
 use spandrel_alert::AlertError;
 use spandrel_bus::{BusError, NameError};
+use spandrel_dashboard::DashboardError;
 use spandrel_identify::IdentifyError;
 use spandrel_ingest::IngestError;
 use spandrel_record::RecordError;
@@ -105,6 +106,12 @@ pub enum AppError {
     /// The alert service failed.
     #[error(transparent)]
     Alert(#[from] AlertError),
+    /// The dashboard failed.
+    #[error(transparent)]
+    Dashboard(#[from] DashboardError),
+    /// A page was asked for, and none is to be served.
+    #[error("the page is switched off: --http or dashboard.listen is none, must be an address such as 127.0.0.1:8080")]
+    NoPage,
     /// A simulated or replayed sensor failed.
     #[error(transparent)]
     Sensor(#[from] SensorError),
@@ -189,6 +196,7 @@ impl AppError {
             | Self::NoSuchNode { .. }
             | Self::UnknownNode { .. }
             | Self::NothingToFuse
+            | Self::NoPage
             | Self::WouldOverwrite { .. }
             | Self::ParticlesOnly { .. }
             | Self::WarmUpTooLong { .. }
@@ -207,6 +215,7 @@ impl AppError {
             | Self::Identify(_)
             | Self::Fuse(_)
             | Self::Alert(_)
+            | Self::Dashboard(_)
             | Self::Sensor(_)
             | Self::Validate(_)
             | Self::FiguresMissed { .. }

@@ -4,10 +4,12 @@ use crate::error::AppError;
 use crate::settings::Settings;
 use spandrel_alert::{AlertService, Baseline};
 use spandrel_bus::{Bus, Keys, Name};
+use spandrel_dashboard::{DashboardService, Listen};
 use spandrel_fuse::FuseService;
 use spandrel_identify::{FilterPool, IdentifyService, NodeService};
 use spandrel_ingest::{IngestService, IngestSettings, Waiting};
 use spandrel_structure::{Reference, Structure};
+use std::net::SocketAddr;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -110,6 +112,7 @@ pub struct Running {
     identify: Stage,
     fuse: Stage,
     alert: Stage,
+    dashboard: Stage,
 }
 
 /// All instances of one service.
@@ -169,6 +172,7 @@ impl Running {
             identify: Stage::new("identify"),
             fuse: Stage::new("fuse"),
             alert: Stage::new("alert"),
+            dashboard: Stage::new("dashboard"),
         }
     }
 
@@ -252,6 +256,24 @@ impl Running {
         Ok(())
     }
 
+    /// Starts the dashboard of all structures, and returns where its page is.
+    ///
+    /// # Errors
+    /// When it cannot start.
+    pub async fn start_dashboard(
+        &mut self,
+        bus: &Bus,
+        watched: &[Watched],
+        listen: &Listen,
+    ) -> Result<SocketAddr, AppError> {
+        let structures: Vec<_> =
+            watched.iter().map(|Watched { structure, keys, .. }| (structure, keys.clone())).collect();
+        let service = DashboardService::start(&structures, bus, listen, Name::new("dashboard")?).await?;
+        let (address, stop) = (service.address(), self.dashboard.stopped());
+        self.dashboard.tasks.spawn(async move { Ok(service.run(stop).await?) });
+        Ok(address)
+    }
+
     /// Waits until a service ends before its time.
     ///
     /// # Errors
@@ -262,6 +284,7 @@ impl Running {
             ended = self.identify.ended() => ended,
             ended = self.fuse.ended() => ended,
             ended = self.alert.ended() => ended,
+            ended = self.dashboard.ended() => ended,
         }
     }
 
@@ -274,7 +297,8 @@ impl Running {
         let identify = self.identify.stop().await;
         let fuse = self.fuse.stop().await;
         let alert = self.alert.stop().await;
-        ingest.and(identify).and(fuse).and(alert)
+        let dashboard = self.dashboard.stop().await;
+        ingest.and(identify).and(fuse).and(alert).and(dashboard)
     }
 }
 

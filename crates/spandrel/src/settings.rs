@@ -1,10 +1,11 @@
 //! Layered configuration: defaults, file, variables `SPANDREL_…`, flags.
 
-use crate::cli::BusArguments;
+use crate::cli::{BusArguments, PageArguments};
 use crate::error::AppError;
 use config::{Config, Environment, File, FileFormat};
 use serde::Deserialize;
 use spandrel_bus::BusConfig;
+use spandrel_dashboard::Listen;
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -24,6 +25,30 @@ pub struct Settings {
     pub baselines: BTreeMap<String, PathBuf>,
     /// Threads of the filters; none: one per processor.
     pub threads: Option<NonZeroUsize>,
+    /// The web page.
+    pub dashboard: DashboardSettings,
+}
+
+/// Where the web page is served.
+#[derive(Debug, Clone, Default, Deserialize, PartialEq)]
+#[serde(default, deny_unknown_fields)]
+pub struct DashboardSettings {
+    /// Its address, or [`NO_PAGE`]; none: the usual one.
+    pub listen: Option<String>,
+}
+
+/// What switches the page off.
+const NO_PAGE: &str = "none";
+
+impl DashboardSettings {
+    /// Where to listen, flags before configuration; `None` for no page.
+    pub fn listen(&self, arguments: &PageArguments) -> Option<Listen> {
+        match arguments.http.as_ref().or(self.listen.as_ref()) {
+            None => Some(Listen::Default),
+            Some(address) if address == NO_PAGE => None,
+            Some(address) => Some(Listen::At(address.clone())),
+        }
+    }
 }
 
 impl Settings {
@@ -108,6 +133,19 @@ mod tests {
         assert_eq!(settings.threads.map(NonZeroUsize::get), Some(3));
         assert!(settings.structures[0].is_absolute() && settings.structures[0].ends_with("a.toml"));
         assert_eq!(settings.bus.connect, Vec::<String>::new());
+    }
+
+    #[test]
+    fn a_flag_says_where_the_page_is_before_the_configuration_does() {
+        let settings = load("[dashboard]\nlisten = \"127.0.0.1:1\"\n", &[], &BusArguments::default()).unwrap();
+        let flag = |http: Option<&str>| PageArguments { http: http.map(str::to_owned), open: false };
+        let at = |address: &str| Some(Listen::At(address.to_owned()));
+        assert_eq!(settings.dashboard.listen(&flag(None)), at("127.0.0.1:1"));
+        assert_eq!(settings.dashboard.listen(&flag(Some("127.0.0.1:2"))), at("127.0.0.1:2"));
+        assert_eq!(settings.dashboard.listen(&flag(Some("none"))), None);
+        assert_eq!(DashboardSettings::default().listen(&flag(None)), Some(Listen::Default));
+        let off = load("", &[("SPANDREL_DASHBOARD__LISTEN", "none")], &BusArguments::default()).unwrap();
+        assert_eq!(off.dashboard.listen(&flag(None)), None);
     }
 
     #[test]

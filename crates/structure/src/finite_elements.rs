@@ -115,6 +115,7 @@ impl FiniteElements {
             degrees_of_freedom: self.freedoms.names,
             storeys: Vec::new(),
             hysteresis: None,
+            skeleton: None,
         })
     }
 }

@@ -33,6 +33,7 @@
 //! - [`StructureModel`]: the traits of `spandrel-filter` for a structure, linear or hysteretic
 //! - [`StructureClasses`]: the same for models that group its stiffness parameters, compared while they run
 //! - [`Simulator`]: responses, damage, and faults of sensors
+//! - [`Drawing`]: points, members and sensors for people to look at
 //! - [`CheckReport`]: frequencies, damping, and what can be identified
 //!
 //! Not for systems that are no structures: implement the traits of `spandrel-filter` instead.
@@ -61,12 +62,14 @@ mod matrix_file;
 mod mesh;
 mod section;
 mod shear_building;
+mod skeleton;
 mod tower;
 mod truss;
 
 mod assembly;
 mod check;
 mod classes;
+mod drawing;
 mod filter_settings;
 mod information;
 mod linear_form;
@@ -82,6 +85,7 @@ pub use check::{
     CheckReport, Finding, IdentificationReport, ModeReport, NoiseLevelReport, ParameterReport, Severity, TimeStepReport,
 };
 pub use classes::StructureClasses;
+pub use drawing::{Drawing, DrawingForm, DrawnMember, DrawnPoint, DrawnSensor};
 pub use error::{Diagnostic, StructureError};
 pub use estimated_response::EstimatedResponse;
 pub use excitation::Excitation;

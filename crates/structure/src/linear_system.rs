@@ -5,6 +5,7 @@
 //! these; with hysteresis, its springs carry `k r` in place of `k x`, and the matrices are those of the springs.
 
 use crate::hysteresis::{Drive, Hysteresis};
+use crate::skeleton::Skeleton;
 use crate::sparse_cholesky::SparseCholesky;
 use nalgebra::{DMatrix, DVector};
 use nalgebra_sparse::{CooMatrix, CsrMatrix};
@@ -105,6 +106,8 @@ pub(crate) struct LinearSystem {
     pub(crate) storeys: Vec<StoreyGroup>,
     /// The law of the springs where they are not linear.
     pub(crate) hysteresis: Option<Hysteresis>,
+    /// Where its parts are; none of chains and matrices.
+    pub(crate) skeleton: Option<Skeleton>,
 }
 
 impl LinearSystem {

@@ -2,6 +2,7 @@
 
 use crate::finite_elements::{FiniteElements, Freedoms};
 use crate::linear_system::LinearSystem;
+use crate::skeleton::Skeleton;
 use nalgebra::{DMatrix, Vector3};
 
 /// A point where members meet.
@@ -84,6 +85,7 @@ impl Mesh {
                 elements.add_mass([from, to], &mass);
             }
         }
-        elements.finish()
+        let system = elements.finish()?;
+        Some(LinearSystem { skeleton: Some(Skeleton::of_mesh(self)), ..system })
     }
 }

@@ -13,13 +13,14 @@ use crate::finite_elements::{FiniteElements, Freedoms};
 use crate::frame;
 use crate::linear_system::LinearSystem;
 use crate::mesh::{MassForm, MemberSection};
+use crate::skeleton::Skeleton;
 use nalgebra::{DMatrix, Vector3};
 
 /// Degrees of freedom of each node.
 const DIRECTIONS: &[&str] = &["x", "y", "rx", "ry", "rz"];
 
 /// Bending along `x`, along `y`, and torsion, in the order of the substructures of a segment.
-const WAYS: [&str; 3] = ["bending-x", "bending-y", "torsion"];
+pub(crate) const WAYS: [&str; 3] = ["bending-x", "bending-y", "torsion"];
 
 /// A part of the tower whose stiffnesses run straight from its foot to its top, cut into equal beams.
 #[derive(Debug, Clone, PartialEq)]
@@ -69,7 +70,8 @@ pub(crate) fn system(segments: &[Segment], form: MassForm) -> Option<LinearSyste
             below += 1;
         }
     }
-    elements.finish()
+    let system = elements.finish()?;
+    Some(LinearSystem { skeleton: Some(Skeleton::of_tower(segments)), ..system })
 }
 
 /// Returns stiffness and mass of bending in one plane (4 × 4): deflection and rotation of the lower end, then of

@@ -1,6 +1,7 @@
 //! `spandrel demo`: the whole path in one process, with a building that is damaged on the way.
 
 use super::print;
+use super::run::serve_page;
 use super::simulate::{Simulation, simulate};
 use crate::cli::{DemoArguments, Speed};
 use crate::error::AppError;
@@ -38,9 +39,14 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
     };
     let keys = settings.bus.keys(structure.name())?;
     let watched = [Watched { structure, keys, baseline: None }];
-    let summary = block_on(async {
+    block_on(async {
         let bus = Bus::open(&settings.bus).await?;
         let mut running = Running::new();
+        let listen = settings.dashboard.listen(&arguments.page).filter(|_| !arguments.headless);
+        let page = match listen {
+            Some(listen) => Some(serve_page(&mut running, &bus, &watched, &listen, &arguments.page).await?),
+            None => None,
+        };
         running.start_alert(&bus, &watched).await?;
         running.start_fuse(&bus, &watched).await?;
         running.start_identify(&bus, &watched, settings.threads, &[]).await?;
@@ -48,21 +54,42 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
             running.start_ingest(&bus, &watched).await?;
         }
         let shown = !arguments.headless && std::io::stdout().is_terminal();
+        let address = page.as_deref();
         let finished = tokio::select! {
-            collected = show_and_collect(&bus, &watched[0], &arguments, shown) => collected,
+            collected = show_and_collect(&bus, &watched[0], &arguments, shown.then_some(Shown { page: address })) => collected,
             failed = running.failed() => failed.map(|()| None),
             () = interrupted() => Ok(None),
         };
+        let mut told = tell(&finished, &arguments);
+        if let (Ok(Some(_)), Some(address)) = (&finished, address)
+            && (arguments.stay || (shown && !arguments.json))
+        {
+            told = told.and_then(|()| print(&format!("the page stays at {address} until Ctrl-C\n")));
+            let failed = tokio::select! {
+                failed = running.failed() => failed,
+                () = interrupted() => Ok(()),
+            };
+            told = told.and(failed);
+        }
         let stopped = running.stop().await;
         bus.close().await?;
-        let summary = finished?;
-        stopped.map(|()| summary)
-    })?;
-    match summary {
-        Some(summary) if arguments.json => print(&summary.json()),
-        Some(summary) => print(&summary.text()),
-        None => Ok(()), // stopped on the way
+        finished.and(told).and(stopped)
+    })
+}
+
+/// Prints what came of it; nothing when it was stopped on the way.
+fn tell(finished: &Result<Option<Summary>, AppError>, arguments: &DemoArguments) -> Result<(), AppError> {
+    match finished {
+        Ok(Some(summary)) if arguments.json => print(&summary.json()),
+        Ok(Some(summary)) => print(&summary.text()),
+        Ok(None) | Err(_) => Ok(()),
     }
+}
+
+/// The view on a terminal, and where the page is.
+#[derive(Debug, Clone, Copy)]
+struct Shown<'p> {
+    page: Option<&'p str>,
 }
 
 /// Simulates, and collects until the last estimate and its alerts have come; nothing when the person quits before.
@@ -70,7 +97,7 @@ async fn show_and_collect(
     bus: &Bus,
     watched: &Watched,
     arguments: &DemoArguments,
-    shown: bool,
+    shown: Option<Shown<'_>>,
 ) -> Result<Option<Summary>, AppError> {
     let Watched { structure, keys, .. } = watched;
     let frames = (arguments.duration * structure.sampling_rate_hz()).round() as u64;
@@ -85,11 +112,11 @@ async fn show_and_collect(
     let simulation = simulate(bus, structure, keys, &simulation, &no_bar);
     let collected = collect(bus, watched, arguments);
     let both = async { tokio::try_join!(collected, simulation).map(|(summary, ())| Some(summary)) };
-    if !shown {
+    let Some(Shown { page }) = shown else {
         return both.await;
-    }
+    };
     let (done, ended) = tokio::sync::oneshot::channel::<()>();
-    let view = super::watch::show(bus, keys.root(), Some(structure.name()), async {
+    let view = super::watch::show(bus, keys.root(), Some(structure.name()), page, async {
         let _ = ended.await; // also when the simulation failed
     });
     tokio::pin!(view);
@@ -123,20 +150,20 @@ async fn collect(bus: &Bus, watched: &Watched, arguments: &DemoArguments) -> Res
                 Err(flume::RecvError::Disconnected) => break,
             },
             message = alerts.messages().recv_async() => if let Ok((_, message)) = message {
-                tell(&message, &mut collector, arguments)?;
+                tell_alert(&message, &mut collector, arguments)?;
             },
         }
     }
     let frames = collector.frames();
     decided.wait_for(|progress| progress.done >= frames).await;
     while let Ok((_, message)) = alerts.messages().try_recv() {
-        tell(&message, &mut collector, arguments)?;
+        tell_alert(&message, &mut collector, arguments)?;
     }
     Ok(collector.finish())
 }
 
 /// Collects an alert, and tells it at once where nothing else shows it.
-fn tell(message: &AlertMessage, collector: &mut Collector, arguments: &DemoArguments) -> Result<(), AppError> {
+fn tell_alert(message: &AlertMessage, collector: &mut Collector, arguments: &DemoArguments) -> Result<(), AppError> {
     collector.take_message(message);
     let told = arguments.headless && matches!(message.state, AlertState::Raised | AlertState::Cleared);
     if told { print(&format!("{:?}: {}\n", message.state, message.why)) } else { Ok(()) }

@@ -1,11 +1,14 @@
 //! `spandrel run`, `ingest`, `identify`, `fuse` and `alert`: services until they are stopped.
 
-use crate::cli::ServiceArguments;
+use super::print;
+use crate::cli::{PageArguments, ServiceArguments};
 use crate::error::AppError;
-use crate::services::{Running, block_on, interrupted, read_structures};
+use crate::services::{Running, Watched, block_on, interrupted, read_structures};
 use crate::settings::Settings;
 use spandrel_bus::Bus;
-use tracing::info;
+use spandrel_dashboard::Listen;
+use std::process::{Command, Stdio};
+use tracing::{info, warn};
 
 /// Which services a process runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -14,12 +17,13 @@ pub struct Services {
     identify: bool,
     fuse: bool,
     alert: bool,
+    dashboard: bool,
 }
 
 impl Services {
-    const NONE: Self = Self { ingest: false, identify: false, fuse: false, alert: false };
+    const NONE: Self = Self { ingest: false, identify: false, fuse: false, alert: false, dashboard: false };
     /// All services of one machine.
-    pub const ALL: Self = Self { ingest: true, identify: true, fuse: true, alert: true };
+    pub const ALL: Self = Self { ingest: true, identify: true, fuse: true, alert: true, dashboard: true };
     /// The alignment only.
     pub const INGEST: Self = Self { ingest: true, ..Self::NONE };
     /// The identification only.
@@ -30,11 +34,24 @@ impl Services {
     pub const ALERT: Self = Self { alert: true, ..Self::NONE };
 }
 
+/// Runs services without a page until Ctrl-C or SIGTERM.
+///
+/// # Errors
+/// As [`run`].
+pub fn one(arguments: &ServiceArguments, services: Services, nodes: &[String]) -> Result<(), AppError> {
+    run(arguments, services, nodes, &PageArguments::default())
+}
+
 /// Runs the services until Ctrl-C or SIGTERM.
 ///
 /// # Errors
 /// When the configuration or a structure is wrong, the bus cannot be joined, or a service fails.
-pub fn run(arguments: &ServiceArguments, services: Services, nodes: &[String]) -> Result<(), AppError> {
+pub fn run(
+    arguments: &ServiceArguments,
+    services: Services,
+    nodes: &[String],
+    page: &PageArguments,
+) -> Result<(), AppError> {
     let settings = Settings::load(&arguments.bus)?;
     let watched = read_structures(&settings, &arguments.structures)?;
     if services == Services::FUSE && watched.iter().all(|watched| watched.structure.fusion().is_none()) {
@@ -43,6 +60,9 @@ pub fn run(arguments: &ServiceArguments, services: Services, nodes: &[String]) -
     block_on(async {
         let bus = Bus::open(&settings.bus).await?;
         let mut running = Running::new();
+        if let Some(listen) = settings.dashboard.listen(page).filter(|_| services.dashboard) {
+            serve_page(&mut running, &bus, &watched, &listen, page).await?;
+        }
         // downstream first: whoever has a reader when it starts needs to repeat nothing
         if services.alert {
             running.start_alert(&bus, &watched).await?;
@@ -65,4 +85,33 @@ pub fn run(arguments: &ServiceArguments, services: Services, nodes: &[String]) -
         bus.close().await?;
         failed.and(stopped)
     })
+}
+
+/// Starts the dashboard, prints where its page is, and opens it if asked to. Returns the address of the page.
+///
+/// # Errors
+/// When the address cannot be listened on, or the bus is closed.
+pub async fn serve_page(
+    running: &mut Running,
+    bus: &Bus,
+    watched: &[Watched],
+    listen: &Listen,
+    arguments: &PageArguments,
+) -> Result<String, AppError> {
+    let page = format!("http://{}/", running.start_dashboard(bus, watched, listen).await?);
+    print(&format!("page: {page}\n"))?;
+    if arguments.open {
+        open_in_browser(&page);
+    }
+    Ok(page)
+}
+
+/// Asks the desktop to show a page; where there is none, the printed address has to do.
+fn open_in_browser(page: &str) {
+    let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+    let quiet = || Stdio::null();
+    let opened = Command::new(opener).arg(page).stdin(quiet()).stdout(quiet()).stderr(quiet()).spawn();
+    if let Err(error) = opened {
+        warn!(opener, page, %error, "no browser can be opened");
+    }
 }

@@ -17,13 +17,13 @@ pub fn run(arguments: WatchArguments) -> Result<(), AppError> {
     let structure = arguments.structure.map(Name::new).transpose()?;
     block_on(async {
         let bus = Bus::open(&bus).await?;
-        let shown = watch::show(&bus, &root, structure.as_ref(), interrupted()).await;
+        let shown = watch::show(&bus, &root, structure.as_ref(), None, interrupted()).await;
         let closed = bus.close().await;
         shown.and(closed.map_err(AppError::from))
     })
 }
 
-/// Shows the view on a bus that is open already, until `stop` or until the person quits.
+/// Shows the view on a bus that is open already, and where the web page is, until `stop` or until the person quits.
 ///
 /// # Errors
 /// When the structure has no name of a key, the session is closed or the terminal is gone.
@@ -31,14 +31,15 @@ pub async fn show(
     bus: &Bus,
     root: &Name,
     structure: Option<&str>,
+    page: Option<&str>,
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
     let structure = structure.map(Name::new).transpose()?;
-    watch::show(bus, root, structure.as_ref(), stop).await
+    watch::show(bus, root, structure.as_ref(), page, stop).await
 }
 
 /// A view alone is no system: unless told otherwise it joins the one on this machine.
-fn joining_by_default(bus: BusConfig) -> BusConfig {
+pub fn joining_by_default(bus: BusConfig) -> BusConfig {
     let nothing_said = bus.listen.is_empty() && bus.connect.is_empty() && bus.config_file.is_none();
     if !nothing_said {
         return bus;

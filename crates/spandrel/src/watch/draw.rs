@@ -176,9 +176,10 @@ fn draw_lists(view: &View, frame: &mut Frame<'_>, area: Rect) {
 }
 
 fn draw_keys(view: &View, frame: &mut Frame<'_>, area: Rect) {
-    let line = match view.notice() {
-        Some(notice) => Line::from(notice.to_owned()).style(Modifier::REVERSED),
-        None => Line::from(KEYS).style(Modifier::DIM),
+    let line = match (view.notice(), view.page()) {
+        (Some(notice), _) => Line::from(notice.to_owned()).style(Modifier::REVERSED),
+        (None, Some(page)) => Line::from(format!("{KEYS}   page {page}")).style(Modifier::DIM),
+        (None, None) => Line::from(KEYS).style(Modifier::DIM),
     };
     frame.render_widget(line, area);
     let unseen = view.overwritten() + view.heard.left_out();

@@ -20,7 +20,8 @@ const LINE_EVERY: Duration = Duration::from_secs(1);
 
 /// Shows one structure, or all below the root, until `stop` or until the person quits.
 ///
-/// On a terminal it is a screen with keys, otherwise lines on standard output.
+/// On a terminal it is a screen with keys, and with the address of the web page if there is one, otherwise lines on standard
+/// output.
 ///
 /// # Errors
 /// The session is closed, or the terminal is gone.
@@ -28,6 +29,7 @@ pub async fn show(
     bus: &Bus,
     root: &Name,
     structure: Option<&Name>,
+    page: Option<&str>,
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
     let listening = Listening::start(bus, root, structure).await?;
@@ -36,7 +38,7 @@ pub async fn show(
         None => format!("below {root}"),
     };
     if io::stdout().is_terminal() {
-        show_screen(bus, root, listening, place, stop).await
+        show_screen(bus, root, listening, place, page, stop).await
     } else {
         print_lines(listening, &place, stop).await
     }
@@ -47,10 +49,12 @@ async fn show_screen(
     root: &Name,
     mut listening: Listening,
     place: String,
+    page: Option<&str>,
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
     tokio::pin!(stop);
     let mut view = View::new(place, std::env::var("USER").unwrap_or_default());
+    view.set_page(page);
     let mut screen = Screen::open()?;
     let clock = Clock::start();
     let mut redraw = tokio::time::interval(REDRAW_EVERY);

@@ -17,6 +17,7 @@ pub struct View {
     pub heard: Heard,
     /// Where it is listened, in words, for as long as nothing is heard.
     place: String,
+    page: Option<String>,
     mode: Mode,
     /// By name, so that a new structure or alert does not move the choice.
     structure: Option<Name>,
@@ -153,6 +154,16 @@ impl View {
     /// Shows a text in the last line for a while.
     pub fn notify(&mut self, text: String) {
         self.notice = Some(Notice { text, until: self.heard.now() + NOTICE_FOR });
+    }
+
+    /// Takes the address of the web page.
+    pub fn set_page(&mut self, page: Option<&str>) {
+        self.page = page.map(str::to_owned);
+    }
+
+    /// The address of the web page, if there is one.
+    pub fn page(&self) -> Option<&str> {
+        self.page.as_deref()
     }
 
     /// Takes how many messages have been pushed out by newer ones before they were shown.

@@ -24,6 +24,7 @@ pub(super) fn read_chain(section: &mut Section<'_>) -> Option<LinearSystem> {
         ground_directions: Vec::new(),
         storeys,
         hysteresis: None,
+        skeleton: None,
     })
 }
 

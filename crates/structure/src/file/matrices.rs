@@ -68,6 +68,7 @@ pub(super) fn read_matrices(section: &mut Section<'_>) -> Option<LinearSystem> {
         ground_directions: Vec::new(),
         storeys: Vec::new(),
         hysteresis: None,
+        skeleton: None,
     };
     if let Some(free) = matrix_file::free_degree_of_freedom(&system.nominal_stiffness()) {
         let found = format!("leave degree of freedom {} free to move", system.degrees_of_freedom[free]);

@@ -471,6 +471,7 @@ fn the_published_chain_has_its_frequency() {
         ground_directions: Vec::new(),
         storeys: Vec::new(),
         hysteresis: None,
+        skeleton: None,
     };
     let modes = Modes::of(&system, &[1.0; 5]).unwrap();
     assert!((modes.angular_frequencies[0] / (2.0 * PI) - 3.203).abs() < 0.001);

@@ -1,0 +1,187 @@
+// Alerts of all structures: what stands, what was, and who has seen it.
+
+import { h, keyed, setText } from "./dom.js";
+import { STATES, place, time } from "./words.js";
+
+/** What was once typed as a name is offered the next time. */
+const NAME_KEY = "spandrel-name";
+/** Time for the alert service to answer an acknowledgement (ms). */
+const ANSWER_WITHIN_MS = 6000;
+/** The list is asked for anew so often (ms), and at once when something is raised. */
+const ASK_EVERY_MS = 2000;
+
+export class AlertsPage {
+  constructor(connection, parameters) {
+    this.dialog = new AcknowledgeDialog(() => this.#ask());
+    this.structure = h("select", { id: "filter-structure", onchange: () => this.#show() }, h("option", { value: "" }, "all structures"));
+    this.state = h("select", { id: "filter-state", onchange: () => this.#show() }, h("option", { value: "" }, "all states"), ["raised", "pending", "acknowledged", "cleared", "normal", "learning"].map((state) => h("option", { value: state }, state)));
+    this.text = h("input", { id: "filter-text", type: "search", placeholder: "part or words", oninput: () => this.#show() });
+    const field = (input, text) => h("label", { for: input.id }, text, " ", input);
+    this.standing = h("ul", { class: "alerts" });
+    this.changes = h("ul", { class: "alerts past" });
+    this.none = h("p", { class: "empty" }, "Loading …");
+    this.noChanges = h("p", { class: "empty" });
+    this.element = h(
+      "div",
+      { class: "alerts-page" },
+      h("h1", {}, "Alerts"),
+      h("form", { class: "filter", onsubmit: (event) => event.preventDefault() }, field(this.structure, "Structure"), field(this.state, "State"), field(this.text, "Contains")),
+      h("h2", {}, "Now"),
+      this.none,
+      this.standing,
+      h("h2", {}, "Changes since the dashboard was started"),
+      this.noChanges,
+      this.changes,
+      this.dialog.element,
+    );
+    this.wanted = parameters.get("structure") ?? "";
+    connection.listen(null);
+    this.timer = setInterval(() => document.hidden || this.#ask(), ASK_EVERY_MS);
+    this.#ask();
+  }
+
+  close() {
+    clearInterval(this.timer);
+  }
+
+  async #ask() {
+    try {
+      const response = await fetch("/api/alerts");
+      if (!response.ok) return;
+      this.answer = await response.json();
+    } catch {
+      return; // the line on top says that there is no connection
+    }
+    const known = [...new Set(this.answer.standing.map((alert) => alert.structure))];
+    for (const name of known) {
+      if (![...this.structure.options].some((option) => option.value === name)) this.structure.append(h("option", { value: name }, name));
+    }
+    if (this.wanted) [this.structure.value, this.wanted] = [this.wanted, ""];
+    this.#show();
+    this.dialog.update(this.answer.standing);
+  }
+
+  #show() {
+    if (!this.answer) return;
+    const order = ["raised", "pending", "acknowledged", "cleared", "learning", "normal"];
+    const isAsked = (alert) =>
+      (!this.structure.value || alert.structure === this.structure.value) &&
+      (!this.state.value || alert.state === this.state.value) &&
+      (!this.text.value || `${alert.parameter} ${alert.why} ${alert.acknowledged_by ?? ""} ${alert.note ?? ""}`.toLowerCase().includes(this.text.value.toLowerCase()));
+    const standing = this.answer.standing.filter(isAsked).sort((a, b) => order.indexOf(a.state) - order.indexOf(b.state) || b.time_ns - a.time_ns);
+    const changes = this.answer.changes.filter(isAsked).slice(0, 200);
+    keyed(this.standing, standing, (alert) => `${alert.structure}/${alert.parameter}`, () => this.#make(true), updateAlert);
+    keyed(this.changes, changes, (alert) => `${alert.structure}/${alert.parameter}/${alert.time_ns}/${alert.state}`, () => this.#make(false), updateAlert);
+    this.none.hidden = standing.length > 0;
+    const isFiltered = this.structure.value || this.state.value || this.text.value;
+    setText(this.none, isFiltered ? "No alert is like this." : "No rule has decided on anything yet.");
+    this.noChanges.hidden = changes.length > 0;
+    setText(this.noChanges, isFiltered ? "No change is like this." : "Nothing has changed.");
+  }
+
+  #make(canAcknowledge) {
+    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence" }), seen: h("p", { class: "seen" }), when: h("time"), link: h("a", { class: "button small" }, "Show the moment") };
+    parts.button = canAcknowledge ? h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(parts.alert) }, "Acknowledge") : null;
+    parts.element = h("li", { class: "card alert" }, h("div", { class: "card-head" }, parts.badge, parts.who, parts.when), parts.why, parts.seen, h("div", { class: "actions" }, parts.button, parts.link));
+    return parts;
+  }
+}
+
+function updateAlert(parts, alert) {
+  const state = STATES[alert.state];
+  parts.alert = alert;
+  parts.element.dataset.level = state.level;
+  parts.element.dataset.state = alert.state;
+  setText(parts.badge, `${state.sign} ${state.word}${alert.stale ? " (stale: the alert service is gone)" : ""}`);
+  setText(parts.who, `${alert.structure} / ${alert.parameter}`);
+  setText(parts.why, alert.why);
+  setText(parts.when, time(alert.time_ns / 1e9));
+  setText(parts.seen, alert.acknowledged_by ? `Seen by ${alert.acknowledged_by}${alert.note ? `: ${alert.note}` : ""}` : "");
+  parts.seen.hidden = !alert.acknowledged_by;
+  parts.link.href = place(alert.structure, alert.parameter, (alert.since_ns ?? alert.time_ns) / 1e9);
+  parts.link.parentElement.hidden = ["normal", "learning"].includes(alert.state);
+  if (parts.button) parts.button.hidden = !["raised", "cleared"].includes(alert.state);
+}
+
+/** Asks who has seen an alert, sends it, and waits until the alert service says so. */
+export class AcknowledgeDialog {
+  constructor(sent = () => {}) {
+    this.sent = sent;
+    this.title = h("h2");
+    this.why = h("p", { class: "sentence" });
+    this.who = h("input", { id: "who", name: "who", required: true, maxlength: 100, autocomplete: "name" });
+    this.note = h("textarea", { id: "note", name: "note", rows: 3, maxlength: 1000 });
+    this.told = h("p", { class: "told", role: "status" });
+    this.send = h("button", { type: "submit", class: "acknowledge" }, "Acknowledge");
+    this.element = h(
+      "dialog",
+      { "aria-label": "Acknowledge an alert" },
+      h(
+        "form",
+        { method: "dialog", onsubmit: (event) => this.#submit(event) },
+        this.title,
+        this.why,
+        h("label", { for: "who" }, "Your name"),
+        this.who,
+        h("label", { for: "note" }, "Note (may be left out)"),
+        this.note,
+        this.told,
+        h("div", { class: "actions" }, this.send, h("button", { type: "button", onclick: () => this.element.close() }, "Close")),
+      ),
+    );
+  }
+
+  open(alert) {
+    this.alert = alert;
+    setText(this.title, `Acknowledge ${alert.structure} / ${alert.parameter}`);
+    setText(this.why, alert.why);
+    setText(this.told, "Others will see that somebody looks at it. It changes nothing else.");
+    this.who.value = localStorage.getItem(NAME_KEY) ?? "";
+    this.note.value = "";
+    this.send.disabled = false;
+    this.waiting = false;
+    this.element.showModal();
+    (this.who.value ? this.note : this.who).focus();
+  }
+
+  /** Closes once the alert service has said that it is acknowledged. */
+  update(alerts) {
+    if (!this.waiting) return;
+    const own = alerts.find(({ structure, parameter }) => structure === this.alert.structure && parameter === this.alert.parameter);
+    if (own && own.state !== this.alert.state) {
+      this.waiting = false;
+      clearTimeout(this.timer);
+      this.element.close();
+    }
+  }
+
+  async #submit(event) {
+    event.preventDefault();
+    const [who, note] = [this.who.value.trim(), this.note.value.trim()];
+    if (!who) return setText(this.told, "Please enter your name.");
+    localStorage.setItem(NAME_KEY, who);
+    this.send.disabled = true;
+    setText(this.told, "sending …");
+    const { structure, parameter } = this.alert;
+    const address = `/api/structures/${encodeURIComponent(structure)}/alerts/${encodeURIComponent(parameter)}/acknowledge`;
+    try {
+      const response = await fetch(address, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ who, note }) });
+      if (!response.ok) {
+        const { error, allowed } = await response.json();
+        return this.#failed(`${error}; ${allowed}`);
+      }
+    } catch {
+      return this.#failed("Spandrel cannot be reached; it was not sent.");
+    }
+    this.waiting = true;
+    setText(this.told, "sent, waiting for the alert service …");
+    this.timer = setTimeout(() => this.#failed("The alert service has not answered; is it running?"), ANSWER_WITHIN_MS);
+    this.sent();
+  }
+
+  #failed(text) {
+    this.waiting = false;
+    this.send.disabled = false;
+    setText(this.told, `▲ ${text}`);
+  }
+}

@@ -1,0 +1,78 @@
+// Starts the page, and shows what the address names: all structures, one structure, or the alerts.
+
+import { AlertsPage } from "./alerts.js";
+import { Connection } from "./connection.js";
+import { h, setText } from "./dom.js";
+import { OverviewPage } from "./overview.js";
+import { StructurePage } from "./structure.js";
+import { duration } from "./words.js";
+
+const main = document.getElementById("main");
+const connection = new Connection();
+let page = null;
+let raisedBefore = null;
+
+function route() {
+  const [path, query] = location.hash.replace(/^#/, "").split("?");
+  const chunks = path.split("/").filter(Boolean).map(decodeURIComponent);
+  const parameters = new URLSearchParams(query ?? "");
+  if (page?.takes?.(chunks, parameters)) return;
+  page?.close?.();
+  const [kind, name] = chunks;
+  if (kind === "structure" && name) page = new StructurePage(connection, name, parameters);
+  else if (kind === "alerts") page = new AlertsPage(connection, parameters);
+  else if (chunks.length === 0) page = new OverviewPage(connection);
+  else page = notThere();
+  main.replaceChildren(page.element);
+  mark("nav-structures", chunks.length === 0 || kind === "structure");
+  mark("nav-alerts", kind === "alerts");
+  scrollTo(0, 0);
+}
+
+function notThere() {
+  connection.listen(null);
+  return { element: h("p", { class: "empty" }, "There is no such page. ", h("a", { href: "#/" }, "All structures")) };
+}
+
+function mark(id, isHere) {
+  const link = document.getElementById(id);
+  if (isHere) link.setAttribute("aria-current", "page");
+  else link.removeAttribute("aria-current");
+}
+
+/** Says whether the page hears the server, and how old what it shows is. */
+function showState() {
+  const link = document.getElementById("link");
+  const lost = document.getElementById("lost");
+  const silence = connection.silence_s;
+  const isOpen = connection.isOpen;
+  link.dataset.state = isOpen ? "open" : "lost";
+  setText(link.querySelector(".mark"), isOpen ? "●" : "✕");
+  if (isOpen) setText(document.getElementById("link-text"), "connected");
+  else setText(document.getElementById("link-text"), silence === Infinity ? "connecting …" : `lost ${duration(silence)} ago`);
+  const isLost = !isOpen && silence !== Infinity;
+  lost.hidden = !isLost;
+  document.body.classList.toggle("is-lost", isLost);
+  if (isLost) setText(lost, `✕ No connection to Spandrel: what is shown is ${duration(silence)} old. Trying again …`);
+}
+
+/** Says in the title, and to who cannot see it, when an alert is raised. */
+function showAlerts({ structures }) {
+  const raised = structures.reduce((sum, structure) => sum + structure.raised, 0);
+  const count = document.getElementById("alert-count");
+  count.hidden = raised === 0;
+  setText(count, `▲ ${raised}`);
+  count.setAttribute("aria-label", `${raised} raised`);
+  document.title = raised > 0 ? `▲ ${raised} – Spandrel` : "Spandrel";
+  if (raisedBefore !== null && raised > raisedBefore) {
+    const first = structures.find((structure) => structure.raised > 0);
+    setText(document.getElementById("announce"), `Alarm, ${first.name}: ${first.sentence}`);
+  }
+  raisedBefore = raised;
+}
+
+connection.on("state", showState);
+connection.on("overview", showAlerts);
+document.getElementById("skip").addEventListener("click", () => main.focus());
+addEventListener("hashchange", route);
+route();

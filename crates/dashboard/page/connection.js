@@ -1,0 +1,94 @@
+// The WebSocket: tells what comes, opens itself again, and knows how old everything is.
+
+/** Pauses between attempts (s): they grow, and never become long for somebody who waits. */
+const PAUSES_S = [0.5, 1, 2, 4, 8];
+/** The server says something twice a second; after this silence (s) the connection counts as lost. */
+const SILENT_AFTER_S = 5;
+
+export class Connection {
+  #listeners = { overview: [], structure: [], points: [], state: [], opened: [] };
+  #structure = null;
+  #socket = null;
+  #attempts = 0;
+  #timer = null;
+  #heard = null;
+  #opened = false;
+
+  constructor() {
+    setInterval(() => this.#watch(), 1000);
+    addEventListener("online", () => this.#again(0));
+    document.addEventListener("visibilitychange", () => {
+      if (!document.hidden && !this.isOpen) this.#again(0);
+    });
+  }
+
+  /** Listens until the function that is returned is called. */
+  on(kind, listener) {
+    this.#listeners[kind].push(listener);
+    return () => (this.#listeners[kind] = this.#listeners[kind].filter((other) => other !== listener));
+  }
+
+  /** Whether something was heard just now. */
+  get isOpen() {
+    return this.#opened && this.silence_s < SILENT_AFTER_S;
+  }
+
+  /** How long nothing was heard (s); infinite before the first message. */
+  get silence_s() {
+    return this.#heard === null ? Infinity : (performance.now() - this.#heard) / 1000;
+  }
+
+  /** Listens to the points of a structure, or to none. */
+  listen(structure) {
+    if (structure === this.#structure && this.#socket) return;
+    this.#structure = structure;
+    this.#open();
+  }
+
+  #open() {
+    clearTimeout(this.#timer);
+    this.#leave();
+    const query = this.#structure ? `?structure=${encodeURIComponent(this.#structure)}` : "";
+    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+    const socket = new WebSocket(`${scheme}//${location.host}/api/live${query}`);
+    socket.onmessage = (event) => {
+      this.#heard = performance.now();
+      this.#attempts = 0;
+      const isFirst = !this.#opened;
+      this.#opened = true;
+      if (isFirst) this.#tell("opened");
+      const message = JSON.parse(event.data);
+      this.#tell(message.type, message);
+    };
+    socket.onclose = () => this.#again(this.#attempts);
+    this.#socket = socket;
+    this.#tell("state");
+  }
+
+  #leave() {
+    if (!this.#socket) return;
+    this.#socket.onmessage = this.#socket.onclose = null;
+    this.#socket.close();
+    this.#socket = null;
+  }
+
+  #again(attempts) {
+    this.#leave();
+    this.#opened = false;
+    this.#attempts = attempts + 1;
+    const pause_s = PAUSES_S[Math.min(attempts, PAUSES_S.length - 1)];
+    clearTimeout(this.#timer);
+    // not all browsers at the same moment
+    this.#timer = setTimeout(() => this.#open(), 1000 * pause_s * (0.75 + Math.random() / 2));
+    this.#tell("state");
+  }
+
+  #watch() {
+    if (this.#opened && this.silence_s > SILENT_AFTER_S) this.#again(0);
+    this.#tell("state");
+  }
+
+  #tell(kind, message) {
+    for (const listener of this.#listeners[kind] ?? []) listener(message);
+  }
+}

@@ -1,0 +1,185 @@
+// The structure as its file describes it, coloured by probability of loss, with its sensors.
+
+import { h, s, setAttribute, setText } from "./dom.js";
+import { HEALTH, STEPS, probability, step } from "./words.js";
+
+/** Size of the drawing in its own units. */
+const WIDTH = 420;
+const HEIGHT = 360;
+const MARGIN = 34;
+/** Heights of parts (in units of the drawing) from which there is room for their names. */
+const NAMED_FROM = 13;
+/** What is flatter is drawn higher than it is. */
+const FLATTEST = 110;
+/** More parameters than this are named only where something is found. */
+const MOST_NAMES = 12;
+
+export class Drawing {
+  #parts = [];
+  #sensors = [];
+
+  constructor(about, choose) {
+    this.choose = choose;
+    const { drawing } = about;
+    this.svg = s("svg", { class: "drawing", role: "img", viewBox: `0 0 ${WIDTH} ${HEIGHT}` });
+    this.svg.append(s("title", {}, `Drawing of ${about.name}, coloured by probability of loss; the table beside it says the same`));
+    this.svg.append(hatches());
+    const parameters = new Set(drawing.members.flatMap((member) => member.parameters));
+    this.namesAll = parameters.size <= MOST_NAMES;
+    if (drawing.form === "storeys") this.#storeys(drawing);
+    else if (drawing.form === "members") this.#members(drawing);
+    else this.#boxes(drawing);
+    this.element = h("figure", { class: "drawing-figure" }, this.svg, key(drawing, this.note));
+  }
+
+  /** Colours the parts and marks the sensors. */
+  update({ parameters, sensors }) {
+    for (const part of this.#parts) {
+      const known = part.parameters.map((name) => parameters[name]?.probability_of_loss).filter((p) => p !== undefined);
+      const worst = known.length > 0 ? Math.max(...known) : null;
+      const level = step(worst);
+      setAttribute(part.element, "data-step", level);
+      const names = part.parameters.join(", ") || "taken as known";
+      setText(part.title, `${part.name}: ${part.parameters.length > 0 ? `${names}, probability of loss ${probability(worst)}` : names}`);
+      if (part.label) {
+        const isFound = worst !== null && worst >= 0.5;
+        setText(part.label, part.parameters.length === 0 ? "" : this.namesAll || isFound ? part.text(worst) : "");
+      }
+    }
+    const health = new Map(sensors.map((sensor) => [sensor.channel, sensor.health]));
+    for (const { channel, element, sign, title } of this.#sensors) {
+      const { sign: shape, word, level } = HEALTH[health.get(channel) ?? "unknown"];
+      setText(sign, shape);
+      setAttribute(element, "data-level", level);
+      setText(title, `sensor ${channel}: ${word}`);
+    }
+  }
+
+  #storeys({ members, points, sensors }) {
+    const bottom = HEIGHT - 26;
+    const storey = Math.min(58, (bottom - 16) / members.length);
+    const [left, width] = [120, 150];
+    const level = (point) => bottom - storey * points[point].y;
+    this.svg.append(s("path", { class: "ground", d: `M${left - 20} ${bottom}H${left + width + 6}` }), ...ground(left - 20, left + width + 6, bottom));
+    const group = (member) => members.filter((other) => other.parts[0] === member.parts[0]);
+    // from the top, so that the lowest of a group, which has its name, lies in front
+    for (const member of members.toReversed()) {
+      const [y0, y1] = member.ends.map(level);
+      const shape = { x: left, y: Math.min(y0, y1), width, height: Math.abs(y0 - y1) };
+      const together = group(member);
+      // storeys that are scaled together are named once, in their middle
+      const isNamed = together[0] === member && member.parameters.length > 0 && together.length * storey >= NAMED_FROM;
+      const middle = (y0 + level(together.at(-1).ends[1])) / 2;
+      const label = isNamed ? s("text", { x: left + width / 2, y: middle, class: "inside", "dominant-baseline": "central" }) : null;
+      const name = isNamed ? s("text", { x: left - 10, y: middle, class: "aside", "dominant-baseline": "central" }, member.parts[0]) : null;
+      this.#part(member, [s("rect", { ...shape, class: "fill" }), s("rect", { ...shape, class: "hatch" })], label, (worst) => probability(worst), name);
+      this.svg.append(s("path", { class: storey >= NAMED_FROM || together.at(-1) === member ? "floor" : "floor thin", d: `M${left} ${y1}H${left + width}` }));
+    }
+    this.#placeSensors(sensors, (point, count) => [left + width + 16 + 15 * count, level(point)], storey >= NAMED_FROM ? 1 : 0);
+  }
+
+  #members({ points, members, sensors }) {
+    const xs = points.map((point) => point.x);
+    const ys = points.map((point) => point.y);
+    const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+    const scale = Math.min((WIDTH - 2 * MARGIN) / (x1 - x0 || 1), (HEIGHT - 2 * MARGIN) / (y1 - y0 || 1));
+    const lying = (y1 - y0) * scale;
+    const upwards = lying > 0 && lying < FLATTEST ? (scale * FLATTEST) / lying : scale;
+    if (upwards > 1.5 * scale) this.note = `Heights are drawn ${(upwards / scale).toFixed(0)} times larger than lengths. `;
+    const height = Math.min(HEIGHT, (y1 - y0) * upwards + 2 * MARGIN + 20);
+    this.svg.setAttribute("viewBox", `0 0 ${WIDTH} ${height}`);
+    const at = ({ x, y }) => [WIDTH / 2 + (x - (x0 + x1) / 2) * scale, height / 2 - (y - (y0 + y1) / 2) * upwards];
+    for (const point of points.filter((point) => point.held)) {
+      const [x, y] = at(point);
+      this.svg.append(s("path", { class: "support", d: `M${x} ${y}l-7 11h14z` }));
+    }
+    const named = new Set();
+    const labels = [];
+    for (const member of members) {
+      const [from, to] = member.ends.map((end) => at(points[end]));
+      const d = `M${from}L${to}`;
+      const name = member.parameters.join(", ");
+      let label = null;
+      if (name && !named.has(name)) {
+        named.add(name);
+        const own = members.filter((other) => other.parameters.join(", ") === name).flatMap((other) => other.ends.map((end) => at(points[end])));
+        const [x, y] = [0, 1].map((axis) => own.reduce((sum, one) => sum + one[axis], 0) / own.length);
+        const isUpright = Math.abs(from[0] - to[0]) < Math.abs(from[1] - to[1]);
+        label = s("text", { x: isUpright ? x + 10 : x, y: isUpright ? y + 20 : y - 12, class: isUpright ? "beside" : "above" });
+        labels.push(label);
+      }
+      this.#part(member, [s("path", { class: "grip", d }), s("path", { class: "line", d }), s("path", { class: "dash", d })], label, (worst) => (worst >= 0.5 ? `${name} ${probability(worst)}` : name), null);
+    }
+    this.#placeSensors(sensors, (point, count) => {
+      const [x, y] = at(points[point]);
+      return [x + 12 * count, y];
+    }, 0);
+    this.svg.append(...labels);
+  }
+
+  #boxes({ points, members, sensors }) {
+    const width = Math.min(120, (WIDTH - 20) / points.length - 8);
+    const left = (index) => 10 + index * (width + 8);
+    this.svg.setAttribute("viewBox", `0 0 ${WIDTH} 150`);
+    this.note = "Substructures without geometry, side by side. ";
+    for (const member of members) {
+      const x = left(member.ends[0]);
+      const shape = { x, y: 40, width, height: 60 };
+      const label = s("text", { x: x + width / 2, y: 70, class: "inside", "dominant-baseline": "central" });
+      const name = s("text", { x: x + width / 2, y: 30, class: "over" }, member.parts.join(", "));
+      this.#part(member, [s("rect", { ...shape, class: "fill" }), s("rect", { ...shape, class: "hatch" })], label, (worst) => probability(worst), name);
+    }
+    this.#placeSensors(sensors, (point, count) => [left(point) + 10 + 16 * count, 118], 0);
+  }
+
+  #part(member, shapes, label, text, name) {
+    const title = s("title", {});
+    const parameter = member.parameters[0];
+    const element = s("g", { class: parameter ? "part" : "part known", "data-part": member.parts.join(" ") }, title, shapes, name, label);
+    if (parameter) element.addEventListener("click", () => this.choose(parameter));
+    this.#parts.push({ element, title, label, text, name: member.parts.join(", "), parameters: member.parameters });
+    this.svg.append(element);
+  }
+
+  #placeSensors(sensors, place, named) {
+    const counts = new Map();
+    for (const sensor of sensors.filter((sensor) => sensor.point !== null)) {
+      const count = counts.get(sensor.point) ?? 0;
+      counts.set(sensor.point, count + 1);
+      const [x, y] = place(sensor.point, count);
+      const sign = s("text", { x, y, class: "sign", "dominant-baseline": "central" });
+      const title = s("title", {});
+      const isLast = sensors.filter((other) => other.point === sensor.point).length === count + 1;
+      const name = named && isLast ? s("text", { x: x + 12, y, class: "beside", "dominant-baseline": "central" }, sensor.node) : null;
+      const element = s("g", { class: "sensor" }, title, sign, name);
+      this.#sensors.push({ channel: sensor.channel, element, sign, title });
+      this.svg.append(element);
+    }
+  }
+}
+
+/** Lines across what has probably lost: it is told without colour as well. */
+function hatches() {
+  const pattern = (id, distance) =>
+    s("pattern", { id, width: distance, height: distance, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" }, s("path", { d: `M0 0V${distance}`, class: "hatch-line" }));
+  return s("defs", {}, pattern("hatch-3", 10), pattern("hatch-4", 6));
+}
+
+function ground(from, to, y) {
+  const count = Math.floor((to - from) / 12);
+  return Array.from({ length: count }, (_, index) => s("path", { class: "ground", d: `M${from + 12 * index + 8} ${y}l-7 8` }));
+}
+
+function key({ sensors }, note) {
+  const swatch = (index) => s("svg", { class: "swatch", viewBox: "0 0 22 14", "aria-hidden": "true" }, s("g", { class: "part", "data-step": index }, s("rect", { class: "fill", width: 22, height: 14 }), s("rect", { class: "hatch", width: 22, height: 14 })));
+  const steps = STEPS.map((one, index) => h("li", {}, swatch(index), one.text));
+  const apart = sensors.filter((sensor) => sensor.point === null).map((sensor) => sensor.channel);
+  return h(
+    "figcaption",
+    { class: "drawing-key" },
+    h("span", {}, "Probability of loss: "),
+    h("ul", {}, steps),
+    h("span", {}, "Sensors: ● delivers  ✕ gone or silent  ▲ faulty  ◆ excluded  ■ ended  ○ unknown"),
+    h("span", {}, note, apart.length > 0 ? `Not drawn: ${apart.join(", ")}.` : null),
+  );
+}

@@ -1,0 +1,103 @@
+// All structures, what needs attention first.
+
+import { h, keyed, setText } from "./dom.js";
+import { LEVELS, STATES, duration, lag, percent, place, probability, ratio } from "./words.js";
+
+export class OverviewPage {
+  constructor(connection) {
+    this.connection = connection;
+    this.summary = h("p", { class: "summary" }, "Loading …");
+    this.list = h("ul", { class: "structures" });
+    this.element = h("div", { class: "overview" }, h("h1", {}, "Structures"), this.summary, this.list);
+    connection.listen(null);
+    this.leave = connection.on("overview", (message) => this.show(message));
+  }
+
+  close() {
+    this.leave();
+  }
+
+  show({ structures }) {
+    setText(this.summary, summary(structures));
+    this.summary.dataset.level = structures[0]?.level ?? "learning";
+    keyed(this.list, structures, (structure) => structure.name, makeCard, updateCard);
+  }
+}
+
+function summary(structures) {
+  if (structures.length === 0) return "No structure is watched.";
+  const urgent = structures.filter(({ level }) => level === "alarm" || level === "stale" || level === "warning");
+  const of = structures.length === 1 ? "1 structure" : `${structures.length} structures`;
+  const seen = structures.filter(({ level }) => level === "notice").map(({ name }) => name);
+  if (urgent.length === 0 && seen.length > 0) return `${LEVELS.notice.sign} ${of} watched, nothing new; somebody has seen: ${seen.join(", ")}.`;
+  if (urgent.length === 0) return `✓ ${of} watched, nothing needs attention.`;
+  const names = urgent.map(({ name }) => name).join(", ");
+  return `${LEVELS[urgent[0].level].sign} ${urgent.length} of ${of} ${urgent.length === 1 ? "needs" : "need"} attention: ${names}.`;
+}
+
+function makeCard(structure) {
+  const fields = {};
+  const fact = (key, title) => {
+    fields[key] = h("dd", {}, "–");
+    return h("div", { class: `fact fact-${key}` }, h("dt", {}, title), fields[key]);
+  };
+  const sign = h("span", { class: "sign", "aria-hidden": "true" });
+  const word = h("span", { class: "word" });
+  const sentence = h("p", { class: "sentence" });
+  const stale = h("span", { class: "badge", "data-level": "stale" });
+  const element = h(
+    "li",
+    { class: "card structure-card", "data-name": structure.name },
+    h(
+      "div",
+      { class: "card-head" },
+      h("span", { class: "badge" }, sign, " ", word),
+      stale,
+      h("h2", {}, h("a", { href: place(structure.name) }, structure.name)),
+    ),
+    h("p", { class: "description" }, structure.description),
+    sentence,
+    h(
+      "dl",
+      { class: "facts" },
+      fact("worst", "Worst part"),
+      fact("probability", "Probability of loss"),
+      fact("sensors", "Sensors alive"),
+      fact("lag", "Lag"),
+      fact("age", "Data"),
+      fact("alert", "Last alert"),
+    ),
+  );
+  return { element, fields, sign, word, sentence, stale };
+}
+
+function updateCard({ element, fields, sign, word, sentence, stale }, structure) {
+  const level = LEVELS[structure.level];
+  element.dataset.level = structure.level;
+  setText(sign, level.sign);
+  setText(word, level.word);
+  setText(sentence, structure.sentence);
+  showStale(stale, structure);
+  const { worst, last_alert: last, sensors } = structure;
+  setText(fields.worst, worst ? `${worst.parameter}: ${ratio(worst.mean)} ± ${ratio(worst.std)}` : "–");
+  const asked = worst ? ` for more than ${percent(worst.loss, 0)}` : "";
+  setText(fields.probability, worst ? probability(worst.probability_of_loss) + asked : "–");
+  const troubled = sensors.troubled.length > 0 ? ` – not: ${sensors.troubled.join(", ")}` : "";
+  setText(fields.sensors, `${sensors.alive} of ${sensors.total}${troubled}`);
+  setText(fields.lag, lag(structure.lag_s));
+  setText(fields.age, age(structure));
+  const at = last && structure.time_s ? `, ${duration(structure.time_s - last.time_s)} before the newest data` : "";
+  setText(fields.alert, last ? `${STATES[last.state].sign} ${last.parameter} ${STATES[last.state].word}${at}` : "none");
+}
+
+/** Says beside any other level that nothing new comes. */
+export function showStale(badge, { age_s, level }) {
+  badge.hidden = level === "stale" || level === "learning" || (age_s !== null && age_s < 3);
+  if (!badge.hidden) setText(badge, `${LEVELS.stale.sign} ${age_s === null ? "no data yet" : `no new data for ${duration(age_s)}`}`);
+}
+
+/** How old the data of a structure are. */
+export function age({ age_s }) {
+  if (age_s === null) return "none yet";
+  return age_s < 1.5 ? "new" : `${duration(age_s)} old`;
+}

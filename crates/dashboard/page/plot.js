@@ -1,0 +1,262 @@
+// One plot over time: uPlot with the colours of the page, a shared crosshair, marks, and a file of what is seen.
+
+import { h, setText } from "./dom.js";
+import { clock } from "./words.js";
+
+/* global uPlot */
+
+const HEIGHT = 220;
+/** A hole in time this many usual steps long is drawn as a hole. */
+const HOLE_STEPS = 8;
+
+/** Colours of lines, far apart for those who tell red from green badly (Okabe and Ito). */
+export const COLOURS = ["--line-1", "--line-2", "--line-3", "--line-4", "--line-5", "--line-6", "--line-7"];
+/** Dashes tell lines apart without colour. */
+export const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3], [4, 4], [14, 4], [1, 5]];
+
+export function css(name) {
+  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+}
+
+export class Plot {
+  #uplot = null;
+  #isSeen = false;
+  #isDirty = true;
+  #wasFetched = false;
+
+  /**
+   * `plot`: title, unit, names (series), series and bands of uPlot, rows(columns by name) to its data, readout(data, index) to
+   * a text, marks() to lines: { y, text } or { x, text }, range of the y axis if it is fixed.
+   */
+  constructor(plot, points, span) {
+    Object.assign(this, { plot, points, span });
+    this.readout = h("p", { class: "readout" });
+    this.holder = h("div", { class: "plot-holder" });
+    const legend = (plot.legend ?? []).map(({ name, colour }) => {
+      const key = h("span", { class: "key", "aria-hidden": "true" });
+      key.style.setProperty("--key", `var(${colour})`);
+      return h("li", {}, key, name);
+    });
+    const csv = h("a", { class: "button small", href: "#", onclick: (event) => (event.currentTarget.href = points.csv(plot.names)), download: `${points.structure}-${plot.file}.csv` }, "CSV");
+    const png = h("button", { class: "small", type: "button", onclick: () => this.#png() }, "PNG");
+    csv.setAttribute("aria-label", `${plot.title}: download as CSV`);
+    png.setAttribute("aria-label", `${plot.title}: download as PNG`);
+    this.head = h("div", { class: "plot-head" }, h("h3", {}, plot.title), h("span", { class: "files" }, csv, png));
+    const key = legend.length > 0 ? h("ul", { class: "legend" }, legend) : [];
+    this.element = h("section", { class: "plot", id: `plot-${plot.id ?? plot.file}` }, this.head, this.readout, key, this.holder);
+    this.seen = new IntersectionObserver((entries) => this.#see(entries.at(-1).isIntersecting), { rootMargin: "200px" });
+    this.seen.observe(this.element);
+    this.resized = new ResizeObserver(() => this.#resize());
+    this.resized.observe(this.holder);
+  }
+
+  close() {
+    this.seen.disconnect();
+    this.resized.disconnect();
+    this.#uplot?.destroy();
+    this.#uplot = null;
+  }
+
+  /** The span has changed: what is in it has to come anew. */
+  restart() {
+    this.#wasFetched = false;
+    this.#isDirty = true;
+    if (this.#isSeen) this.#fetch();
+  }
+
+  /** The colours have changed. */
+  recolour() {
+    this.#uplot?.destroy();
+    this.#uplot = null;
+    this.#isDirty = true;
+    this.draw();
+  }
+
+  /** Points or marks have come. */
+  dirty() {
+    this.#isDirty = true;
+  }
+
+  /** Draws, if there is something new and somebody who sees it. */
+  draw() {
+    if (!this.#isSeen || !this.#isDirty || this.holder.clientWidth === 0) return;
+    this.#isDirty = false;
+    const data = this.#data();
+    const isEmpty = !data || data[0].length === 0;
+    this.element.classList.toggle("is-empty", isEmpty);
+    if (isEmpty) {
+      setText(this.readout, this.#wasFetched ? "no data in this span" : "loading …");
+      return;
+    }
+    if (!this.#uplot) this.#uplot = new uPlot(this.#options(), data, this.holder);
+    else this.#uplot.setData(data, false);
+    this.#uplot.setScale("x", this.span.shown);
+    this.#read(this.#uplot.cursor.idx ?? null);
+  }
+
+  #see(isSeen) {
+    this.#isSeen = isSeen;
+    if (isSeen && !this.#wasFetched) this.#fetch();
+    if (isSeen) this.draw();
+  }
+
+  #fetch() {
+    this.#wasFetched = false;
+    this.points.fetch(this.plot.names).catch(() => false).then((came) => {
+      this.#wasFetched = came;
+      this.#isDirty = true;
+      this.draw();
+    });
+  }
+
+  #data() {
+    const columns = new Map(this.plot.names.map((name) => [name, this.points.columns(name)]));
+    if ([...columns.values()].every((one) => one === null)) return null;
+    return withHoles(this.plot.rows(columns));
+  }
+
+  #read(index) {
+    const data = this.#uplot.data;
+    const at = index ?? lastOf(data);
+    const text = at === null || data[0][at] === undefined ? "" : `${clock(data[0][at], 1)} UTC  ${this.plot.readout(data, at)}`;
+    setText(this.readout, text);
+  }
+
+  #resize() {
+    const width = this.holder.clientWidth;
+    if (this.#uplot && width > 0 && width !== this.#uplot.width) this.#uplot.setSize({ width, height: HEIGHT });
+  }
+
+  #options() {
+    const isNarrow = this.holder.clientWidth < 520;
+    const axis = { stroke: css("--ink-soft"), grid: { stroke: css("--grid"), width: 1 }, ticks: { stroke: css("--grid") }, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif" };
+    return {
+      width: this.holder.clientWidth,
+      height: HEIGHT,
+      legend: { show: false },
+      tzDate: (seconds) => uPlot.tzDate(new Date(1000 * seconds), "Etc/UTC"),
+      cursor: { sync: { key: "span" }, drag: { x: true, y: false, setScale: false }, points: { show: false } },
+      scales: { x: { time: true }, y: { range: this.plot.range ?? padded } },
+      axes: [
+        { ...axis, space: isNarrow ? 70 : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: "time (UTC)", labelSize: 18 },
+        { ...axis, label: this.plot.unit, labelSize: 20, space: 24, size: isNarrow ? 54 : 62, values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? compact(tick)) },
+      ],
+      series: [{}, ...this.plot.series().map((one) => ({ points: { show: false }, ...one }))],
+      bands: this.plot.bands?.() ?? [],
+      hooks: {
+        draw: [(u) => this.#marks(u)],
+        setCursor: [(u) => this.#read(u.cursor.idx ?? null)],
+        setSelect: [(u) => this.#zoom(u)],
+      },
+    };
+  }
+
+  #zoom(u) {
+    const { left, width } = u.select;
+    if (width < 8) return;
+    const [from, to] = [u.posToVal(left, "x"), u.posToVal(left + width, "x")];
+    u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+    this.span.fix(from, to);
+  }
+
+  #marks(u) {
+    const { ctx, bbox } = u;
+    const size = devicePixelRatio;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    ctx.font = `${12 * size}px system-ui, sans-serif`;
+    ctx.lineWidth = 1.5 * size;
+    [ctx.textAlign, ctx.textBaseline] = ["left", "alphabetic"];
+    for (const mark of this.plot.marks?.() ?? []) {
+      const colour = css(mark.colour ?? "--ink-soft");
+      ctx.strokeStyle = ctx.fillStyle = colour;
+      ctx.setLineDash(mark.x === undefined ? [6 * size, 4 * size] : [2 * size, 3 * size]);
+      ctx.beginPath();
+      if (mark.x === undefined) {
+        const y = u.valToPos(mark.y, "y", true);
+        ctx.moveTo(bbox.left, y);
+        ctx.lineTo(bbox.left + bbox.width, y);
+        ctx.stroke();
+        ctx.fillText(mark.text, bbox.left + 6 * size, y - 4 * size);
+      } else if (mark.x >= u.scales.x.min && mark.x <= u.scales.x.max) {
+        const x = u.valToPos(mark.x, "x", true);
+        ctx.moveTo(x, bbox.top);
+        ctx.lineTo(x, bbox.top + bbox.height);
+        ctx.stroke();
+        const isRight = x > bbox.left + bbox.width - 90 * size;
+        ctx.textAlign = isRight ? "right" : "left";
+        ctx.fillText(mark.text, x + (isRight ? -4 : 4) * size, bbox.top + 13 * size + 15 * size * (mark.row ?? 0));
+        ctx.textAlign = "left";
+      }
+    }
+    ctx.restore();
+  }
+
+  /** Writes what is seen to a file, with its title on a ground of its own. */
+  #png() {
+    if (!this.#uplot) return;
+    const source = this.#uplot.ctx.canvas;
+    const head = 30 * devicePixelRatio;
+    const canvas = h("canvas", { width: source.width, height: source.height + head });
+    const ctx = canvas.getContext("2d");
+    ctx.fillStyle = css("--card");
+    ctx.fillRect(0, 0, canvas.width, canvas.height);
+    ctx.fillStyle = css("--ink");
+    ctx.font = `bold ${14 * devicePixelRatio}px system-ui, sans-serif`;
+    ctx.fillText(`${this.points.structure}: ${this.plot.title}`, 10 * devicePixelRatio, 20 * devicePixelRatio);
+    ctx.drawImage(source, 0, head);
+    canvas.toBlob((blob) => {
+      const address = URL.createObjectURL(blob);
+      h("a", { href: address, download: `${this.points.structure}-${this.plot.file}.png` }).click();
+      setTimeout(() => URL.revokeObjectURL(address), 1000);
+    });
+  }
+}
+
+/** A range with a little room, which is not nothing for a line that is flat. */
+function padded(_, least, largest) {
+  if (least === null || largest === null || !Number.isFinite(least)) return [0, 1];
+  const room = Math.max((largest - least) * 0.08, Math.abs(largest) * 0.01, 1e-12);
+  return [least - room, largest + room];
+}
+
+/** Times of the axis as fine as its steps, the date where it changes. */
+function timeTicks(splits, step) {
+  let date = "";
+  return splits.map((split) => {
+    const text = new Date(1000 * split).toISOString();
+    if (step >= 28 * 86400) return text.slice(0, 7);
+    if (step >= 86400) return text.slice(0, 10);
+    const time = step >= 60 ? text.slice(11, 16) : step >= 1 ? text.slice(11, 19) : text.slice(11, 23);
+    const isNewDate = text.slice(0, 10) !== date;
+    date = text.slice(0, 10);
+    return isNewDate ? `${time}\n${date}` : time;
+  });
+}
+
+function compact(tick) {
+  const size = Math.abs(tick);
+  return size !== 0 && (size < 1e-3 || size >= 1e5) ? tick.toExponential(1) : String(Number(tick.toPrecision(6)));
+}
+
+function lastOf(data) {
+  return data[0].length > 0 ? data[0].length - 1 : null;
+}
+
+/** Puts a row of nothing where nothing was measured for long, so that no line leads over it. */
+function withHoles(data) {
+  const times = data[0];
+  if (times.length < 3) return data;
+  const steps = [];
+  for (let index = 1; index < times.length; index += 1) steps.push(times[index] - times[index - 1]);
+  const usual = [...steps].sort((a, b) => a - b)[steps.length >> 1];
+  const holes = steps.flatMap((step, index) => (step > HOLE_STEPS * usual && step > 1 ? [index + 1] : []));
+  if (holes.length === 0) return data;
+  return data.map((column, which) => {
+    const out = column.slice();
+    for (const hole of holes.toReversed()) out.splice(hole, 0, which === 0 ? times[hole - 1] + usual : null);
+    return out;
+  });
+}

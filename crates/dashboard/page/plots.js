@@ -1,0 +1,227 @@
+// What is plotted of a structure.
+
+import { COLOURS, DASHES, Plot, css } from "./plot.js";
+import { STATES, number, percent, probability, ratio, unit } from "./words.js";
+
+/** Half-widths of the 50, 95 and 99.7 % intervals of a Gaussian, in standard deviations. */
+const HALF_WIDTHS = [
+  ["99.7 %", 2.9677],
+  ["95 %", 1.96],
+  ["50 %", 0.6745],
+];
+
+const line = (index, more) => ({ stroke: () => css(COLOURS[index % COLOURS.length]), width: 2, dash: DASHES[index % DASHES.length], ...more });
+const edge = { stroke: "transparent", width: 0 };
+
+/** Mean and bands: data are time, mean, then low and high of each band. */
+function meanWithBands(columns) {
+  const [times, mean, std] = columns;
+  const ends = HALF_WIDTHS.flatMap(([, half]) => [mean.map((one, index) => one - half * std[index]), mean.map((one, index) => one + half * std[index])]);
+  return [times, mean, ...ends];
+}
+
+const bandSeries = () => [line(0), edge, edge, edge, edge, edge, edge];
+const bandFills = () => [
+  { series: [3, 2], fill: css("--band-997") },
+  { series: [5, 4], fill: css("--band-95") },
+  { series: [7, 6], fill: css("--band-50") },
+];
+
+/** A parameter: estimate with bands, threshold, and marks of its alerts. */
+export function parameterPlot(parameter, standing, points, span, id) {
+  const name = `parameter/${parameter.name}`;
+  const threshold = () => {
+    const shown = standing()?.parameters[parameter.name];
+    const alert = standing()?.alerts.find((alert) => alert.parameter === parameter.name);
+    const [loss, reference] = [alert?.rule_loss ?? shown?.loss ?? parameter.loss, alert?.reference ?? shown?.reference ?? parameter.reference];
+    return { loss, y: (1 - loss) * reference };
+  };
+  const changes = () => (standing()?.changes ?? []).filter((change) => change.parameter === parameter.name);
+  const marks = () => {
+    const { loss, y } = threshold();
+    const bound = parameter.stiffness ? [{ y, text: `threshold: ${percent(loss, 0)} lost`, colour: "--alarm" }] : [];
+    return [...bound, ...changes().map((change, index) => ({ x: change.time_ns / 1e9, text: `${STATES[change.state].sign} ${STATES[change.state].word}`, row: index % 4, colour: `--${STATES[change.state].level}` }))];
+  };
+  return new Plot(
+    {
+      title: parameter.name,
+      file: `parameter-${parameter.name}`,
+      id,
+      unit: parameter.stiffness ? "stiffness ratio (1)" : "ratio (1)",
+      names: [name],
+      rows: (columns) => [...meanWithBands(columns.get(name)), columns.get(name)[3]],
+      series: () => [...bandSeries(), { show: false }],
+      bands: bandFills,
+      // the threshold stays in sight, and the wide bands of the first seconds do not make all else flat
+      range: (u) => {
+        const { min, max } = span.shown;
+        const seen = (column) => column.filter((value, row) => value !== null && u.data[0][row] >= min && u.data[0][row] <= max);
+        const ends = [quantile(seen(u.data[2]), 0.05), quantile(seen(u.data[3]), 0.95), ...seen(u.data[1]).slice(-1), parameter.stiffness ? threshold().y : null];
+        const known = ends.filter((end) => end !== null);
+        if (known.length === 0) return [0, 2];
+        const [low, high] = [Math.min(...known), Math.max(...known)];
+        const room = Math.max((high - low) * 0.1, 0.005);
+        return [low - room, high + room];
+      },
+      readout: (data, at) => {
+        const [low, high] = [data[4][at], data[5][at]];
+        if (data[1][at] === null) return "no data";
+        const asked = parameter.stiffness ? ` · P(loss > ${percent(threshold().loss, 0)}) ${probability(data[8][at])}` : "";
+        return `${ratio(data[1][at])} · 95 %: ${ratio(low)} to ${ratio(high)}${asked}`;
+      },
+      marks,
+    },
+    points,
+    span,
+  );
+}
+
+function quantile(values, share) {
+  if (values.length === 0) return null;
+  return [...values].sort((a, b) => a - b)[Math.round(share * (values.length - 1))];
+}
+
+/** A noise level: the variance with bands. */
+export function noisePlot(level, points, span) {
+  const name = `noise/${level.name}`;
+  const square = level.unit ? `variance, (${unit(level.unit)})²` : "level ψ (1)";
+  return new Plot(
+    {
+      title: `Noise of ${level.name}`,
+      file: `noise-${level.name}`,
+      unit: square,
+      names: [name],
+      rows: (columns) => meanWithBands(columns.get(name)),
+      series: bandSeries,
+      bands: bandFills,
+      readout: (data, at) => (data[1][at] === null ? "no data" : `${number(data[1][at])} · standard deviation of one sample ${number(Math.sqrt(Math.max(data[1][at], 0)))} ${unit(level.unit)}`),
+    },
+    points,
+    span,
+  );
+}
+
+/** Innovations of a channel: between the least and the largest of each interval. */
+export function innovationPlot(sensor, points, span) {
+  const name = `innovation/${sensor.channel}`;
+  return new Plot(
+    {
+      title: `Innovations of ${sensor.channel}`,
+      file: `innovation-${sensor.channel}`,
+      unit: unit(sensor.unit),
+      names: [name],
+      rows: (columns) => columns.get(name),
+      series: () => [line(1, { width: 1, dash: [] }), line(1, { width: 1, dash: [] })],
+      bands: () => [{ series: [2, 1], fill: css("--band-95") }],
+      readout: (data, at) => (data[1][at] === null ? "no sample used" : `${number(data[1][at])} to ${number(data[2][at])} ${unit(sensor.unit)}`),
+      marks: () => [{ y: 0, text: "" }],
+    },
+    points,
+    span,
+  );
+}
+
+/** How well model and data agree. */
+export function consistencyPlot(points, span) {
+  return new Plot(
+    {
+      title: "Normalised innovation squared",
+      file: "consistency",
+      unit: "per channel (1)",
+      names: ["consistency/all"],
+      rows: (columns) => columns.get("consistency/all"),
+      series: () => [line(2, { dash: [], width: 1.5 })],
+      range: (u, least, largest) => [0, Math.max(2, (largest ?? 1) * 1.1)],
+      readout: (data, at) => `${number(data[1][at])} per channel; 1 when model and noise levels explain the data`,
+      marks: () => [{ y: 1, text: "expected" }],
+    },
+    points,
+    span,
+  );
+}
+
+/** Screening of a channel. */
+export function outlierPlot(channel, points, span) {
+  const name = `outlier/${channel}`;
+  return new Plot(
+    {
+      title: `Outliers of ${channel}`,
+      file: `outlier-${channel}`,
+      unit: "rejected (%)",
+      names: [name],
+      rows: (columns) => [columns.get(name)[0], columns.get(name)[1].map((share) => 100 * share), columns.get(name)[2]],
+      series: () => [line(3, { dash: [], fill: () => css("--band-997") }), { show: false }],
+      range: (u, least, largest) => [0, Math.max(1, (largest ?? 0) * 1.1)],
+      readout: (data, at) => `${number(data[1][at])} % of the late samples · ${number(data[2][at])} rejected here`,
+    },
+    points,
+    span,
+  );
+}
+
+/** Plausibilities of the model classes, stacked to 1. */
+export function classPlot(classes, points, span) {
+  const names = classes.map((name) => `class/${name}`);
+  return new Plot(
+    {
+      title: "Plausibility of the model classes",
+      file: "classes",
+      legend: classes.map((name, index) => ({ name, colour: `${COLOURS[index % COLOURS.length]}-fill` })),
+      unit: "plausibility (1)",
+      names,
+      rows: (columns) => stacked(names.map((name) => columns.get(name))),
+      // drawn from the top: the first one lies in front
+      series: () => names.map((_, index) => line(index, { width: 1, fill: () => css(`${COLOURS[index % COLOURS.length]}-fill`) })).toReversed(),
+      range: () => [0, 1],
+      readout: (data, at) => {
+        const sums = data.slice(1).toReversed().map((column) => column[at]);
+        return classes.map((name, index) => `${name} ${percent((sums[index] ?? 0) - (index > 0 ? (sums[index - 1] ?? 0) : 0), 0)}`).join(" · ");
+      },
+    },
+    points,
+    span,
+  );
+}
+
+/** Sums from the first class on, the largest sum first; a class that does not compete at a time counts nothing. */
+function stacked(series) {
+  const known = series.map((columns) => new Map(columns ? columns[0].map((time, row) => [time, columns[1][row]]) : []));
+  const times = [...new Set(known.flatMap((one) => [...one.keys()]))].sort((a, b) => a - b);
+  let sum = times.map(() => 0);
+  const sums = known.map((one) => (sum = sum.map((value, row) => value + (one.get(times[row]) ?? 0))));
+  return [times, ...sums.toReversed()];
+}
+
+/** Distances of the nodes that identify for themselves, each from all others. */
+export function nodePlot(nodes, points, span) {
+  const names = nodes.map((name) => `node/${name}`);
+  return new Plot(
+    {
+      title: "Nodes: distance from the others",
+      file: "nodes",
+      legend: nodes.map((name, index) => ({ name, colour: COLOURS[index % COLOURS.length] })),
+      unit: "distance (1)",
+      names,
+      rows: (columns) => aligned(names.map((name) => columns.get(name))),
+      series: () => [...names.map((_, index) => line(index, { width: 1.5 })), { stroke: () => css("--alarm"), width: 2, dash: [6, 4] }],
+      readout: (data, at) => nodes.map((name, index) => [name, data[index + 1][at]]).filter(([, distance]) => distance !== null).sort((a, b) => b[1] - a[1]).slice(0, 4).map(([name, distance]) => `${name} ${number(distance)}`).join(" · "),
+    },
+    points,
+    span,
+  );
+}
+
+/** Columns of one time axis: a distance for each node, then the limit. */
+function aligned(series) {
+  const rows = new Map();
+  series.forEach((columns, node) => {
+    columns?.[0].forEach((time, row) => {
+      if (!rows.has(time)) rows.set(time, { distances: series.map(() => null), limit: null });
+      rows.get(time).distances[node] = columns[1][row];
+      rows.get(time).limit = columns[2][row] ?? rows.get(time).limit;
+    });
+  });
+  const times = [...rows.keys()].sort((a, b) => a - b);
+  const column = (of) => times.map((time) => of(rows.get(time)));
+  return [times, ...series.map((_, node) => column((row) => row.distances[node])), column((row) => row.limit)];
+}

@@ -1,0 +1,174 @@
+// The span of time that all plots of a page share, and the points in it.
+
+/** Points asked for per series: about as many as a plot has columns. */
+const POINTS = 1000;
+/** With more than this a series is asked for anew, combined by the server. */
+const MOST_POINTS = 3000;
+/** What can be chosen (s). */
+export const LENGTHS = [
+  [60, "1 min"],
+  [600, "10 min"],
+  [3600, "1 h"],
+  [86400, "1 day"],
+  [30 * 86400, "1 month"],
+  [365 * 86400, "1 year"],
+  [10 * 365 * 86400, "10 years"],
+];
+
+/** What is looked at: the newest so many seconds, or from one moment to another. */
+export class Span {
+  #fixed = null;
+  #listeners = [];
+  length_s = 600;
+  /** Time of the newest point of any series (s since 1970). */
+  newest_s = null;
+  /** From when on all that is asked for is kept (s since 1970). */
+  keptFrom_s = null;
+
+  get isLive() {
+    return this.#fixed === null;
+  }
+
+  get from_s() {
+    return this.#fixed ? this.#fixed[0] : (this.newest_s ?? 0) - this.length_s;
+  }
+
+  get to_s() {
+    return this.#fixed ? this.#fixed[1] : (this.newest_s ?? 0);
+  }
+
+  /** What plots show of it: a live span begins no earlier than what is kept, so that little data fill the plot as well. */
+  get shown() {
+    const min = this.isLive && this.lacks ? Math.min(this.keptFrom_s, this.to_s - 1) : this.from_s;
+    return { min, max: Math.max(this.to_s, min + 1) };
+  }
+
+  /** Whether more is asked for than is kept. */
+  get lacks() {
+    return this.keptFrom_s !== null && this.newest_s !== null && this.from_s < this.keptFrom_s - 1;
+  }
+
+  /** Follows the newest data. */
+  live(length_s) {
+    this.length_s = length_s;
+    this.#set(null);
+  }
+
+  /** Stays at a span. */
+  fix(from_s, to_s) {
+    this.#set([from_s, to_s]);
+  }
+
+  onchange(listener) {
+    this.#listeners.push(listener);
+  }
+
+  #set(fixed) {
+    this.#fixed = fixed;
+    this.#listeners.forEach((listener) => listener());
+  }
+}
+
+/** The points of one structure, as far as plots that are seen need them. */
+export class Points {
+  #series = new Map();
+
+  constructor(structure, span) {
+    this.structure = structure;
+    this.span = span;
+  }
+
+  /** The columns of a series, the time first; none before they have come. */
+  columns(name) {
+    return this.#series.get(name)?.columns ?? null;
+  }
+
+  /** Address of what is shown of some series, as CSV. */
+  csv(names) {
+    return this.#address(names, 20000) + "&format=csv";
+  }
+
+  /** Asks for the span anew. Returns whether something came. */
+  async fetch(names) {
+    for (const name of names) this.#entry(name).asked = true;
+    const response = await fetch(this.#address(names, POINTS));
+    if (!response.ok) {
+      for (const name of names) this.#entry(name).asked = false;
+      return false;
+    }
+    const answer = await response.json();
+    if (answer.kept_from_s !== null) this.span.keptFrom_s = Math.min(answer.kept_from_s, this.span.keptFrom_s ?? Infinity);
+    for (const { name, generation, data } of answer.series) {
+      const entry = this.#entry(name);
+      const last = data[0].at(-1) ?? -Infinity;
+      const late = entry.generation === generation && entry.columns ? after(entry.columns, last) : null;
+      entry.columns = this.span.isLive && late ? joined(data, late) : data;
+      entry.generation = generation;
+      this.#see(entry);
+    }
+    return true;
+  }
+
+  /** Takes points as they come; returns the names of what they changed. */
+  take(series) {
+    const changed = [];
+    for (const [name, { generation, data }] of Object.entries(series)) {
+      const entry = this.#series.get(name);
+      const newest = data[0].at(-1);
+      // measurement that begins anew may lie before what was there
+      if (entry && entry.generation !== null && entry.generation !== generation) [this.span.newest_s, this.span.keptFrom_s] = [newest, null];
+      else this.span.newest_s = Math.max(newest, this.span.newest_s ?? -Infinity);
+      if (!entry?.columns || !this.span.isLive) continue;
+      const last = entry.generation === generation ? (entry.columns[0].at(-1) ?? -Infinity) : -Infinity;
+      entry.columns = entry.generation === generation ? joined(entry.columns, after(data, last)) : data;
+      entry.generation = generation;
+      this.#trim(name, entry);
+      changed.push(name);
+    }
+    return changed;
+  }
+
+  /** Forgets what nobody looks at any more. */
+  forget(name) {
+    this.#series.delete(name);
+  }
+
+  #entry(name) {
+    if (!this.#series.has(name)) this.#series.set(name, { columns: null, generation: null, asked: false });
+    return this.#series.get(name);
+  }
+
+  #see(entry) {
+    const newest = entry.columns[0].at(-1);
+    if (newest !== undefined && this.span.isLive) this.span.newest_s = Math.max(newest, this.span.newest_s ?? -Infinity);
+  }
+
+  #trim(name, entry) {
+    const times = entry.columns[0];
+    const first = times.findIndex((time) => time >= this.span.from_s);
+    // now and then many, instead of one at every message
+    if (first > 200) entry.columns = entry.columns.map((column) => column.slice(first - 1));
+    if (times.length > MOST_POINTS && !entry.refetching) {
+      entry.refetching = true;
+      this.fetch([name]).finally(() => (entry.refetching = false));
+    }
+  }
+
+  #address(names, points) {
+    const query = new URLSearchParams({ series: names.join(","), points });
+    const from = this.span.isLive && this.span.newest_s === null ? null : this.span.from_s;
+    if (from !== null) query.set("from", from);
+    if (!this.span.isLive) query.set("to", this.span.to_s);
+    return `/api/structures/${encodeURIComponent(this.structure)}/history?${query}`;
+  }
+}
+
+/** The rows after a time. */
+function after(columns, time) {
+  const first = columns[0].findIndex((one) => one > time);
+  return first < 0 ? columns.map(() => []) : columns.map((column) => column.slice(first));
+}
+
+function joined(columns, more) {
+  return columns.map((column, index) => column.concat(more[index]));
+}

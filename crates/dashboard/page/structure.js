@@ -1,0 +1,330 @@
+// One structure: why it needs attention, its drawing, its parameters, and everything over time.
+
+import { AcknowledgeDialog } from "./alerts.js";
+import { h, keyed, setText } from "./dom.js";
+import { Drawing } from "./drawing.js";
+import { age, showStale } from "./overview.js";
+import { classPlot, consistencyPlot, innovationPlot, nodePlot, noisePlot, outlierPlot, parameterPlot } from "./plots.js";
+import { LENGTHS, Points, Span } from "./span.js";
+import { HEALTH, LEVELS, STATES, duration, lag, number, percent, place, probability, ratio, step, time } from "./words.js";
+
+/** How often plots are drawn (ms), however often points come. */
+const DRAW_EVERY_MS = 250;
+/** Probability of loss from which on the course of a part is put on top. */
+const WORTH_SHOWING = 0.05;
+/** Seconds shown on each side of a moment that a link leads to. */
+const AROUND_S = 60;
+
+export class StructurePage {
+  #plots = [];
+  #made = new Map();
+  #standing = null;
+  #isOpen = true;
+  #leave = [];
+
+  constructor(connection, name, parameters) {
+    this.name = name;
+    this.span = new Span();
+    this.points = new Points(name, this.span);
+    this.head = h("div", { class: "attention" });
+    this.body = h("div", {}, h("p", { class: "empty" }, "Loading …"));
+    this.element = h("div", { class: "structure" }, h("p", { class: "crumb" }, h("a", { href: "#/" }, "Structures"), " / ", name), h("h1", {}, name), this.head, this.body);
+    this.dialog = new AcknowledgeDialog();
+    this.#leave = [
+      connection.on("structure", ({ standing }) => this.#show(standing)),
+      connection.on("points", ({ series }) => this.#take(series)),
+      // what came while nothing was heard, or belongs to another life of the server
+      connection.on("opened", () => this.#respan()),
+      connection.on("overview", ({ structures }) => structures.filter((structure) => structure.name === name).forEach((own) => this.#attend(own))),
+    ];
+    this.connection = connection;
+    this.scheme = matchMedia("(prefers-color-scheme: dark)");
+    this.recolour = () => this.#plots.forEach((plot) => plot.recolour());
+    this.scheme.addEventListener("change", this.recolour);
+    this.timer = setInterval(() => this.#draw(), DRAW_EVERY_MS);
+    this.span.onchange(() => this.#respan());
+    this.#load(parameters);
+  }
+
+  close() {
+    this.#isOpen = false;
+    this.#leave.forEach((leave) => leave());
+    clearInterval(this.timer);
+    this.scheme.removeEventListener("change", this.recolour);
+    this.#plots.forEach((plot) => plot.close());
+  }
+
+  /** Another moment or parameter of the same structure. */
+  takes([kind, name], parameters) {
+    if (kind !== "structure" || name !== this.name || !this.about) return false;
+    this.#goto(parameters);
+    return true;
+  }
+
+  async #load(parameters) {
+    try {
+      const response = await fetch(`/api/structures/${encodeURIComponent(this.name)}`);
+      const answer = await response.json();
+      if (!response.ok) {
+        this.connection.listen(null);
+        this.body.replaceChildren(h("p", { class: "empty" }, `${answer.error}; ${answer.allowed}. `, h("a", { href: "#/" }, "All structures")));
+        return;
+      }
+      if (!this.#isOpen) return;
+      this.about = answer.about;
+      this.#build();
+      this.span.newest_s = answer.overview.time_s;
+      this.#show(answer.standing);
+      this.#attend(answer.overview);
+      this.#goto(parameters);
+      this.connection.listen(this.name);
+    } catch {
+      this.body.replaceChildren(h("p", { class: "empty" }, "Spandrel cannot be reached. Trying again …"));
+      setTimeout(() => this.#isOpen && this.#load(parameters), 2000);
+    }
+  }
+
+  #build() {
+    const { about } = this;
+    const standing = () => this.#standing;
+    this.drawing = new Drawing(about, (parameter) => (location.hash = place(this.name, parameter)));
+    this.table = h("tbody");
+    const heads = ["Part", "State", "Estimate", "95 % interval", "Probability of loss"];
+    const table = h("div", { class: "scroll" }, h("table", { class: "parameters" }, h("thead", {}, h("tr", {}, heads.map((text) => h("th", { scope: "col" }, text)))), this.table));
+    this.worst = h("div", { class: "worst" });
+    this.ranges = new RangeBar(this.span);
+    this.events = h("ul", { class: "events" });
+    this.noEvents = h("p", { class: "group-text" }, "None since the dashboard was started.");
+    this.sensorList = h("ul", { class: "sensor-list" });
+    this.services = h("tbody");
+    this.groups = {};
+    const group = (key, title, text) => {
+      const holder = h("div", { class: "plots" });
+      const section = h("section", { class: "group", id: `group-${key}`, hidden: key !== "parameters" }, h("h2", {}, title), text ? h("p", { class: "group-text" }, text) : null, holder);
+      this.groups[key] = { section, holder };
+      return section;
+    };
+    this.body.replaceChildren(
+      h("div", { class: "top" }, h("section", { class: "card" }, this.drawing.element), h("section", { class: "card" }, h("h2", {}, "Parts"), table, this.worst)),
+      this.ranges.element,
+      group("parameters", "Parameters", "Ratio to the design: 1 is as designed, 0.9 has lost 10 %. Line: estimate; bands: 50, 95 and 99.7 % intervals. Drag across a plot to zoom all of them."),
+      group("classes", "Model classes"),
+      group("nodes", "Nodes that identify for themselves", "A node far beyond the dashed limit disagrees with the others."),
+      group("agreement", "Model and data"),
+      group("outliers", "Outliers"),
+      group("innovations", "Innovations", "What was observed less what was predicted, its least and largest value in each interval."),
+      group("noise", "Noise levels"),
+      h("section", { class: "card", id: "sensors" }, h("h2", {}, "Sensors"), this.sensorList),
+      h("section", { class: "card" }, h("h2", {}, "Events"), this.noEvents, this.events),
+      h("section", { class: "card" }, h("h2", {}, "Services"), h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, ["Service", "State", "Lag", "Done", "Dropped or mended"].map((text) => h("th", { scope: "col" }, text)))), this.services))),
+      this.dialog.element,
+    );
+    for (const parameter of about.parameters) this.#plot("parameters", parameter.name, () => parameterPlot(parameter, standing, this.points, this.span));
+  }
+
+  /** Makes a plot once there is something to plot. */
+  #plot(group, key, make) {
+    const id = `${group}/${key}`;
+    if (this.#made.has(id)) return;
+    const plot = make();
+    this.#made.set(id, plot);
+    this.#plots.push(plot);
+    this.groups[group].section.hidden = false;
+    this.groups[group].holder.append(plot.element);
+  }
+
+  /** Puts the course of the part that has most probably lost stiffness where it is seen first. */
+  #showWorst({ worst }) {
+    const { parameters } = this.about;
+    // among sound parts the order changes all the time and means nothing
+    const name = worst && worst.probability_of_loss >= WORTH_SHOWING ? worst.parameter : (this.worstPlot?.name ?? parameters[0]?.name);
+    const parameter = parameters.find((parameter) => parameter.name === name);
+    if (!parameter || this.worstPlot?.name === name) return;
+    if (this.worstPlot) this.#drop(this.worstPlot.plot);
+    const plot = parameterPlot(parameter, () => this.#standing, this.points, this.span, "worst");
+    this.worstPlot = { name, plot };
+    this.#plots.push(plot);
+    this.worst.replaceChildren(plot.element);
+  }
+
+  #drop(plot) {
+    plot.close();
+    plot.element.remove();
+    this.#plots = this.#plots.filter((other) => other !== plot);
+  }
+
+  #attend(overview) {
+    if (this.about) this.#showWorst(overview);
+    const level = LEVELS[overview.level];
+    this.head.dataset.level = overview.level;
+    const { sensors } = overview;
+    const raised = (this.#standing?.alerts ?? []).filter((alert) => ["raised", "cleared"].includes(alert.state));
+    this.parts ??= { badge: h("span", { class: "badge" }), stale: h("span", { class: "badge", "data-level": "stale" }), sentence: h("p", { class: "sentence" }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }) };
+    if (this.head.childElementCount === 0) this.head.append(this.parts.badge, " ", this.parts.stale, this.parts.sentence, this.parts.actions, this.parts.facts);
+    setText(this.parts.badge, `${level.sign} ${level.word}`);
+    setText(this.parts.sentence, overview.sentence);
+    showStale(this.parts.stale, overview);
+    setText(this.parts.facts, `Data: ${age(overview)}${overview.time_s ? `, measured ${time(overview.time_s)}` : ""} · lag ${lag(overview.lag_s)} · sensors alive ${sensors.alive} of ${sensors.total}`);
+    keyed(
+      this.parts.actions,
+      raised,
+      (alert) => alert.parameter,
+      (alert) => ({ element: h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(alert) }, `Acknowledge ${alert.parameter}`) }),
+      () => {},
+    );
+  }
+
+  #show(standing) {
+    this.#standing = standing;
+    if (!this.about) return;
+    this.drawing.update(standing);
+    this.#showParameters(standing);
+    this.#showLists(standing);
+    for (const level of this.about.noise) {
+      if (standing.noise[level.name]) this.#plot("noise", level.name, () => noisePlot(level, this.points, this.span));
+    }
+    for (const channel of Object.keys(standing.outliers)) this.#plot("outliers", channel, () => outlierPlot(channel, this.points, this.span));
+    standing.series.forEach((name) => this.#discover(name));
+    if (Object.keys(standing.nodes).length > 0) {
+      const nodes = [...new Set(this.about.drawing.sensors.map((sensor) => sensor.node))];
+      this.#plot("nodes", "all", () => nodePlot(nodes, this.points, this.span));
+    }
+    this.dialog.update(standing.alerts);
+    this.#plots.forEach((plot) => plot.plot.marks && plot.dirty());
+  }
+
+  #showParameters(standing) {
+    const update = (part, parameter) => {
+      const shown = standing.parameters[parameter.name];
+      const alert = standing.alerts.find((alert) => alert.parameter === parameter.name);
+      const state = alert ? STATES[alert.state] : null;
+      part.element.dataset.level = state?.level ?? "learning";
+      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? " (stale)" : ""}` : "– no rule or not yet");
+      setText(part.mean, shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "–");
+      setText(part.interval, shown ? `${ratio(shown.interval.low)} to ${ratio(shown.interval.high)}` : "–");
+      const p = parameter.stiffness ? shown?.probability_of_loss : null;
+      setText(part.text, p === null ? "not a stiffness" : probability(p));
+      part.bar.hidden = p === null;
+      part.bar.dataset.step = step(p) ?? "";
+      part.bar.style.setProperty("--share", p ?? 0);
+    };
+    const make = (parameter) => {
+      const [state, mean, interval, text, bar] = [h("td"), h("td", { class: "number" }), h("td", { class: "number" }), h("span", { class: "number" }), h("span", { class: "meter", "aria-hidden": "true" })];
+      const element = h("tr", {}, h("th", { scope: "row" }, h("a", { href: place(this.name, parameter.name) }, parameter.name)), state, mean, interval, h("td", {}, bar, text));
+      return { element, state, mean, interval, text, bar };
+    };
+    keyed(this.table, this.about.parameters, (parameter) => parameter.name, make, update);
+  }
+
+  #showLists({ events, services, sensors, outliers, nodes }) {
+    const text = (element) => ({ element });
+    keyed(this.events, events, (event) => `${event.time_ns}/${event.subject}/${event.what}`, (event) => text(h("li", {}, h("time", {}, time(event.time_ns / 1e9)), ` ${event.subject}: ${event.what} – ${event.why}`)), () => {});
+    this.noEvents.hidden = events.length > 0;
+    keyed(this.sensorList, sensors, (sensor) => sensor.channel, () => text(h("li")), (part, sensor) => {
+      const health = HEALTH[sensor.health];
+      part.element.dataset.level = health.level;
+      const share = outliers[sensor.channel] ? `, ${percent(outliers[sensor.channel].recent_share)} rejected` : "";
+      const distance = nodes[sensor.node]?.distance;
+      setText(part.element, `${health.sign} ${sensor.channel}: ${health.word}${share}${distance ? `, distance ${number(distance)}` : ""}`);
+    });
+    keyed(
+      this.services,
+      services,
+      (service) => `${service.service}/${service.id}`,
+      () => {
+        const cells = Array.from({ length: 5 }, () => h("td"));
+        return { element: h("tr", {}, cells), cells };
+      },
+      ({ cells }, { service, id, present, status }) => {
+        setText(cells[0], service === id ? service : `${service} ${id}`);
+        setText(cells[1], present ? "● there" : "✕ gone");
+        setText(cells[2], lag(status?.lag_s ?? null));
+        setText(cells[3], status ? String(status.done) : "–");
+        setText(cells[4], Object.entries(status?.drops ?? {}).map(([reason, count]) => `${reason} ${count}`).join(", ") || "nothing");
+      },
+    );
+  }
+
+  #take(series) {
+    if (!this.about) return;
+    const changed = new Set(this.points.take(series));
+    for (const plot of this.#plots) {
+      if (this.span.isLive && plot.plot.names.some((name) => changed.has(name))) plot.dirty();
+    }
+  }
+
+  /** A series that was not there before may need a plot of its own. */
+  #discover(name) {
+    const [kind, of] = [name.slice(0, name.indexOf("/")), name.slice(name.indexOf("/") + 1)];
+    if (kind === "innovation") {
+      const sensor = this.about.drawing.sensors.find((sensor) => sensor.channel === of);
+      if (sensor) this.#plot("innovations", of, () => innovationPlot(sensor, this.points, this.span));
+    } else if (kind === "consistency") {
+      this.#plot("agreement", of, () => consistencyPlot(this.points, this.span));
+    } else if (kind === "class") {
+      this.classes ??= [];
+      if (this.classes.includes(of)) return;
+      this.classes.push(of);
+      // another class changes the whole stack
+      const old = this.#made.get("classes/all");
+      if (old) {
+        this.#drop(old);
+        this.#made.delete("classes/all");
+      }
+      this.#plot("classes", "all", () => classPlot([...this.classes], this.points, this.span));
+    }
+  }
+
+  #draw() {
+    if (document.hidden || !this.ranges) return;
+    this.ranges.update();
+    this.#plots.forEach((plot) => plot.draw());
+  }
+
+  #respan() {
+    this.span.keptFrom_s = null;
+    this.ranges?.update();
+    this.#plots.forEach((plot) => plot.restart());
+  }
+
+  /** Goes to the parameter, and the moment, that the address names. */
+  #goto(parameters) {
+    const at = Number(parameters.get("at"));
+    if (at > 0) this.span.fix(at - AROUND_S, at + AROUND_S);
+    const name = parameters.get("parameter");
+    const plot = name && document.getElementById(`plot-parameter-${name}`);
+    document.querySelectorAll(".plot.is-chosen").forEach((chosen) => chosen.classList.remove("is-chosen"));
+    if (plot) {
+      plot.classList.add("is-chosen");
+      plot.scrollIntoView({ block: "center" });
+    }
+  }
+}
+
+/** Chooses the span of all plots. */
+class RangeBar {
+  constructor(span) {
+    this.span = span;
+    this.buttons = LENGTHS.map(([length, text]) => {
+      const button = h("button", { type: "button", onclick: () => span.live(length) }, text);
+      return { length, button };
+    });
+    this.zoomed = h("button", { type: "button", class: "back", onclick: () => span.live(span.length_s) }, "▶ Back to live");
+    this.text = h("span", { class: "range-text", role: "status" });
+    this.element = h("div", { class: "ranges", role: "group", "aria-label": "Span of all plots" }, this.buttons.map(({ button }) => button), this.zoomed, this.text);
+    this.update();
+  }
+
+  update() {
+    const { span } = this;
+    for (const { length, button } of this.buttons) button.setAttribute("aria-pressed", String(span.isLive && span.length_s === length));
+    this.zoomed.hidden = span.isLive;
+    setText(this.text, this.#words());
+  }
+
+  #words() {
+    const { span } = this;
+    const kept = span.lacks ? ` · kept since ${time(span.keptFrom_s)}` : "";
+    return (span.isLive ? "newest data" : `${time(span.from_s)} – ${time(span.to_s)} (${duration(span.to_s - span.from_s)})`) + kept;
+  }
+}

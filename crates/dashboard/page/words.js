@@ -1,0 +1,116 @@
+// How things are called and numbers are written.
+
+/** What a level of attention is called, and its sign: shape and word tell it without colour. */
+export const LEVELS = {
+  alarm: { sign: "▲", word: "Alarm" },
+  stale: { sign: "✕", word: "No data" },
+  warning: { sign: "◆", word: "Warning" },
+  notice: { sign: "●", word: "Seen" },
+  learning: { sign: "…", word: "Learning" },
+  normal: { sign: "✓", word: "Normal" },
+};
+
+/** The same for the states of an alert. */
+export const STATES = {
+  raised: { sign: "▲", word: "raised", level: "alarm" },
+  pending: { sign: "◆", word: "pending", level: "warning" },
+  acknowledged: { sign: "●", word: "acknowledged", level: "notice" },
+  cleared: { sign: "○", word: "cleared", level: "notice" },
+  learning: { sign: "…", word: "learning", level: "learning" },
+  normal: { sign: "✓", word: "normal", level: "normal" },
+};
+
+/** And for sensors. */
+export const HEALTH = {
+  alive: { sign: "●", word: "delivers", level: "normal" },
+  gone: { sign: "✕", word: "gone", level: "warning" },
+  silent: { sign: "✕", word: "silent", level: "warning" },
+  faulty: { sign: "▲", word: "faulty, not used", level: "warning" },
+  excluded: { sign: "◆", word: "excluded: disagrees with the others", level: "warning" },
+  ended: { sign: "■", word: "record has ended", level: "learning" },
+  unknown: { sign: "○", word: "not heard of yet", level: "learning" },
+};
+
+/** Steps of the probability of loss: the drawing and its key use the same. */
+export const STEPS = [
+  { below: 0.05, text: "below 5 %" },
+  { below: 0.5, text: "5 to 50 %" },
+  { below: 0.95, text: "50 to 95 %" },
+  { below: 0.99, text: "95 to 99 %" },
+  { below: Infinity, text: "99 % and above" },
+];
+
+/** The step of a probability; none where it is not known. */
+export function step(probability) {
+  if (probability === null || probability === undefined) return null;
+  return STEPS.findIndex((one) => probability < one.below);
+}
+
+/** A probability in per cent, without a certainty that nobody has. */
+export function probability(value) {
+  if (value === null || value === undefined) return "–";
+  const percent = 100 * value;
+  if (percent > 99.9) return "> 99.9 %";
+  if (percent < 0.1) return "< 0.1 %";
+  return `${percent.toFixed(percent > 10 && percent < 99 ? 0 : 1)} %`;
+}
+
+/** A share in per cent. */
+export function percent(share, digits = 1) {
+  return `${(100 * share).toFixed(digits)} %`;
+}
+
+/** A ratio to the nominal value. */
+export function ratio(value) {
+  return value.toFixed(3);
+}
+
+/** A number of any size in few digits. */
+export function number(value) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  const size = Math.abs(value);
+  if (size !== 0 && (size < 1e-3 || size >= 1e5)) return value.toExponential(2);
+  return String(Number(value.toPrecision(4)));
+}
+
+/** How long something is, in words. */
+export function duration(seconds) {
+  const size = Math.abs(seconds);
+  if (size < 1) return `${size.toFixed(1)} s`;
+  if (size < 120) return `${Math.round(size)} s`;
+  if (size < 7200) return `${Math.round(size / 60)} min`;
+  if (size < 48 * 3600) return `${Math.round(size / 3600)} h`;
+  return `${Math.round(size / 86400)} days`;
+}
+
+/** A time of measurement, UTC as in the sentences of the alerts. */
+export function time(seconds) {
+  return new Date(1000 * seconds).toISOString().replace("T", " ").replace(/\.\d+Z/, " UTC");
+}
+
+/** The time of day alone. */
+export function clock(seconds, digits = 0) {
+  const text = new Date(1000 * seconds).toISOString();
+  return text.slice(11, digits ? 20 + digits : 19);
+}
+
+/** How far behind the sensors the identification is. */
+export function lag(seconds) {
+  if (seconds === null) return "–";
+  if (seconds < -1) return `−${duration(seconds)} (ahead of time)`;
+  return duration(Math.max(seconds, 0));
+}
+
+/** Units as people write them. */
+export function unit(text) {
+  return text.replace("m/s2", "m/s²");
+}
+
+/** Address of a structure's page, with a moment and a parameter if there is one. */
+export function place(structure, parameter, seconds) {
+  const query = new URLSearchParams();
+  if (parameter) query.set("parameter", parameter);
+  if (seconds) query.set("at", seconds.toFixed(3));
+  const text = query.toString();
+  return `#/structure/${encodeURIComponent(structure)}${text ? `?${text}` : ""}`;
+}

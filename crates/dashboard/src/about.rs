@@ -1,0 +1,86 @@
+//! What the structure file says that the page needs: it does not change while the dashboard runs.
+
+use serde::Serialize;
+use spandrel_structure::{Drawing, Structure};
+
+/// A structure without any measurement.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct About {
+    pub(crate) name: String,
+    pub(crate) description: String,
+    pub(crate) sampling_rate_hz: f64,
+    pub(crate) display_rate_hz: f64,
+    /// Whether nodes identify for themselves and a station fuses them.
+    pub(crate) distributed: bool,
+    pub(crate) parameters: Vec<AboutParameter>,
+    pub(crate) noise: Vec<AboutNoise>,
+    pub(crate) rules: Vec<AboutRule>,
+    pub(crate) drawing: Drawing,
+    /// Position in the drawing's sensors of each observed channel.
+    #[serde(skip)]
+    pub(crate) observed: Vec<usize>,
+}
+
+/// An identified parameter, a ratio to its nominal value.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct AboutParameter {
+    pub(crate) name: String,
+    /// Whether 1 − θ is a loss of stiffness.
+    pub(crate) stiffness: bool,
+    /// Loss that the first rule on it asks about, a share of the reference.
+    pub(crate) loss: f64,
+    /// What the loss is counted from, ratio to nominal.
+    pub(crate) reference: f64,
+}
+
+/// A noise level, shown as a variance.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct AboutNoise {
+    pub(crate) name: String,
+    /// Unit of the standard deviation.
+    pub(crate) unit: &'static str,
+}
+
+/// An alert rule.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct AboutRule {
+    pub(crate) parameters: Vec<String>,
+    pub(crate) loss: f64,
+    pub(crate) credibility: f64,
+    pub(crate) sustain_s: f64,
+}
+
+impl About {
+    pub(crate) fn new(structure: &Structure) -> Self {
+        let names: Vec<String> = structure.parameters().iter().map(|parameter| parameter.name().to_owned()).collect();
+        let parameters = structure.parameters().iter().enumerate().map(|(index, parameter)| {
+            let (loss, reference) = structure.displayed_loss(index);
+            AboutParameter { name: parameter.name().to_owned(), stiffness: parameter.is_stiffness(), loss, reference }
+        });
+        let noise = structure.noise_levels().iter();
+        let noise = noise.map(|level| AboutNoise { name: level.name().to_owned(), unit: structure.noise_unit(level) });
+        let rules = structure.alert_rules().iter().map(|rule| AboutRule {
+            parameters: rule.parameters.iter().filter_map(|index| names.get(*index).cloned()).collect(),
+            loss: rule.loss,
+            credibility: rule.credibility,
+            sustain_s: rule.sustain_s,
+        });
+        Self {
+            name: structure.name().to_owned(),
+            description: structure.description().to_owned(),
+            sampling_rate_hz: structure.sampling_rate_hz(),
+            display_rate_hz: structure.display_rate_hz(),
+            distributed: structure.fusion().is_some(),
+            parameters: parameters.collect(),
+            noise: noise.collect(),
+            rules: rules.collect(),
+            drawing: structure.drawing(),
+            observed: structure.observation_channels().to_vec(),
+        }
+    }
+
+    /// The name of an observed channel, by its number in the innovations.
+    pub(crate) fn observed_channel(&self, row: usize) -> Option<&str> {
+        self.drawing.sensors.get(*self.observed.get(row)?).map(|sensor| sensor.channel.as_str())
+    }
+}

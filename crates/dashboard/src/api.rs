@@ -1,0 +1,289 @@
+//! The HTTP interface: what can be asked, and what a mistake is answered with.
+
+use crate::history::{self, Asked, Format, Refused, Request};
+use crate::live;
+use crate::overview::overview;
+use crate::page::{ASSETS, with_headers};
+use crate::server::{Server, now_ns};
+use crate::store::Store;
+use crate::view::{Standing, changes, standing_alerts};
+use axum::extract::rejection::{JsonRejection, QueryRejection};
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::{DefaultBodyLimit, Path, Query, State};
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE, HOST, ORIGIN};
+use axum::http::{HeaderMap, Method, StatusCode, Uri};
+use axum::middleware::map_response;
+use axum::response::{IntoResponse, Response};
+use axum::routing::{MethodRouter, get, post};
+use axum::{Json, Router};
+use serde::Deserialize;
+use serde_json::json;
+use spandrel_bus::{Acknowledgement, AlertState, Name};
+use std::sync::{Arc, MutexGuard};
+
+/// The description of this interface.
+const OPENAPI: &str = include_str!("../openapi.json");
+/// Largest body of a request (bytes).
+const LARGEST_BODY: usize = 16 * 1024;
+/// Longest name of a person, and longest note (characters).
+const LONGEST_NAME: usize = 100;
+const LONGEST_NOTE: usize = 1_000;
+/// Largest message of a browser on the WebSocket (bytes): nothing is asked there.
+const LARGEST_MESSAGE: usize = 4 * 1024;
+
+type Shared = State<Arc<Server>>;
+
+/// All that can be asked, as in the description: path, method and what answers.
+fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
+    vec![
+        ("/api/structures", Method::GET, get(structures)),
+        ("/api/structures/{structure}", Method::GET, get(structure)),
+        ("/api/structures/{structure}/history", Method::GET, get(read_history)),
+        ("/api/structures/{structure}/alerts/{parameter}/acknowledge", Method::POST, post(acknowledge)),
+        ("/api/alerts", Method::GET, get(alerts)),
+        ("/api/live", Method::GET, get(listen)),
+        ("/api/openapi.json", Method::GET, get(openapi)),
+    ]
+}
+
+/// Puts interface and page together.
+pub(crate) fn router(server: Arc<Server>) -> Router {
+    let with_page = ASSETS.iter().fold(Router::new(), |router, asset| router.route(asset.path, get(*asset)));
+    let all = routes().into_iter().fold(with_page, |router, (path, _, answer)| router.route(path, answer));
+    all.fallback(nothing_there)
+        .method_not_allowed_fallback(wrong_method)
+        .layer(DefaultBodyLimit::max(LARGEST_BODY))
+        .layer(map_response(with_headers))
+        .with_state(server)
+}
+
+/// An answer that says what is wrong, and what is allowed.
+#[derive(Debug)]
+struct Mistake {
+    status: StatusCode,
+    what: String,
+    allowed: String,
+}
+
+impl Mistake {
+    fn new(status: StatusCode, what: impl Into<String>, allowed: impl Into<String>) -> Self {
+        Self { status, what: what.into(), allowed: allowed.into() }
+    }
+}
+
+impl IntoResponse for Mistake {
+    fn into_response(self) -> Response {
+        (self.status, Json(json!({"error": self.what, "allowed": self.allowed}))).into_response()
+    }
+}
+
+impl From<Refused> for Mistake {
+    fn from(Refused { what, allowed }: Refused) -> Self {
+        Self::new(StatusCode::BAD_REQUEST, what, allowed)
+    }
+}
+
+impl From<QueryRejection> for Mistake {
+    fn from(rejection: QueryRejection) -> Self {
+        Self::new(StatusCode::BAD_REQUEST, rejection.body_text(), "must be as in /api/openapi.json")
+    }
+}
+
+impl From<JsonRejection> for Mistake {
+    fn from(rejection: JsonRejection) -> Self {
+        Self::new(rejection.status(), rejection.body_text(), "must be JSON as in /api/openapi.json")
+    }
+}
+
+impl From<WebSocketUpgradeRejection> for Mistake {
+    fn from(rejection: WebSocketUpgradeRejection) -> Self {
+        Self::new(rejection.status(), rejection.body_text(), "must open a WebSocket")
+    }
+}
+
+async fn nothing_there(uri: Uri) -> Mistake {
+    let what = format!("nothing is at {}", uri.path());
+    Mistake::new(StatusCode::NOT_FOUND, what, "must be a path of /api/openapi.json, or / for the page")
+}
+
+async fn wrong_method(method: Method, uri: Uri) -> Mistake {
+    let what = format!("{} does not take {method}", uri.path());
+    Mistake::new(StatusCode::METHOD_NOT_ALLOWED, what, "must be a method of /api/openapi.json")
+}
+
+/// Finds the picture of a structure.
+fn find<'s>(server: &'s Server, name: &str) -> Result<MutexGuard<'s, Store>, Mistake> {
+    server.store(name).ok_or_else(|| {
+        let allowed = format!("must be one of: {}", server.names().join(", "));
+        Mistake::new(StatusCode::NOT_FOUND, format!("structure `{name}` is not known"), allowed)
+    })
+}
+
+/// Refuses what the page of another site sends: browsers say where a request comes from, scripts do not.
+fn check_origin(headers: &HeaderMap) -> Result<(), Mistake> {
+    let Some(origin) = headers.get(ORIGIN) else { return Ok(()) };
+    let origin = origin.to_str().ok().and_then(|origin| origin.split_once("://")).map(|(_, authority)| authority);
+    let host = headers.get(HOST).and_then(|host| host.to_str().ok());
+    match (origin, host) {
+        (Some(origin), Some(host)) if origin == host => Ok(()),
+        (_, _) => {
+            Err(Mistake::new(StatusCode::FORBIDDEN, "the request comes from another site", "must come from here"))
+        }
+    }
+}
+
+async fn openapi() -> Response {
+    ([(CONTENT_TYPE, "application/json")], OPENAPI).into_response()
+}
+
+async fn structures(State(server): Shared) -> Response {
+    Json(json!({"structures": server.overviews()})).into_response()
+}
+
+async fn structure(State(server): Shared, Path(name): Path<String>) -> Result<Response, Mistake> {
+    let store = find(&server, &name)?;
+    Ok(Json(json!({"about": store.about, "overview": overview(&store), "standing": Standing::of(&store)}))
+        .into_response())
+}
+
+async fn read_history(
+    State(server): Shared,
+    Path(name): Path<String>,
+    asked: Result<Query<Asked>, QueryRejection>,
+) -> Result<Response, Mistake> {
+    let Query(asked) = asked?;
+    let span = {
+        let store = find(&server, &name)?;
+        history::read(&store, &Request::new(&asked, &store)?)
+    };
+    Ok(match asked.format {
+        Format::Json => Json(span).into_response(),
+        Format::Csv => {
+            let name = format!("attachment; filename=\"{name}.csv\"");
+            let headers = [(CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()), (CONTENT_DISPOSITION, name)];
+            (headers, span.csv()).into_response()
+        }
+    })
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AlertFilter {
+    structure: Option<String>,
+    state: Option<AlertState>,
+}
+
+async fn alerts(
+    State(server): Shared,
+    filter: Result<Query<AlertFilter>, QueryRejection>,
+) -> Result<Response, Mistake> {
+    let Query(filter) = filter?;
+    if let Some(name) = &filter.structure {
+        drop(find(&server, name)?);
+    }
+    let (mut standing, mut changed) = (Vec::new(), Vec::new());
+    for store in server.stores() {
+        if filter.structure.as_ref().is_some_and(|name| *name != store.about.name) {
+            continue;
+        }
+        let fits = |alert: &crate::view::AlertView<'_>| filter.state.is_none_or(|state| alert.message.state == state);
+        standing.extend(standing_alerts(&store).filter(fits).map(|alert| json!(alert)));
+        changed.extend(changes(&store).filter(fits).map(|alert| (alert.message.time_ns, json!(alert))));
+    }
+    changed.sort_by_key(|(time_ns, _)| std::cmp::Reverse(*time_ns));
+    let changed: Vec<_> = changed.into_iter().map(|(_, alert)| alert).collect();
+    Ok(Json(json!({"standing": standing, "changes": changed})).into_response())
+}
+
+/// Who acknowledges, and why.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Seen {
+    who: String,
+    #[serde(default)]
+    note: String,
+}
+
+async fn acknowledge(
+    State(server): Shared,
+    Path((structure, parameter)): Path<(String, String)>,
+    headers: HeaderMap,
+    seen: Result<Json<Seen>, JsonRejection>,
+) -> Result<Response, Mistake> {
+    check_origin(&headers)?;
+    let Json(Seen { who, note }) = seen?;
+    let (who, note) = (who.trim().to_owned(), note.trim().to_owned());
+    let refuse = |what: &str, allowed: String| Err(Mistake::new(StatusCode::BAD_REQUEST, what, allowed));
+    match who.chars().count() {
+        0 => return refuse("who is empty", "must name the person who has seen the alert".to_owned()),
+        count if count > LONGEST_NAME => {
+            return refuse("who is too long", format!("must have up to {LONGEST_NAME} characters"));
+        }
+        _ => {}
+    }
+    if note.chars().count() > LONGEST_NOTE {
+        return refuse("note is too long", format!("must have up to {LONGEST_NOTE} characters"));
+    }
+    let names = {
+        let store = find(&server, &structure)?;
+        check_acknowledgeable(&store, &parameter)?;
+        (Name::new(&*structure), Name::new(&*parameter))
+    };
+    let (Ok(structure), Ok(parameter)) = names else {
+        return refuse("a name is none", "must be lower-case letters, digits and hyphens".to_owned());
+    };
+    let acknowledgement = Acknowledgement { structure, parameter, time_ns: now_ns(), who, note };
+    if let Err(error) = server.acknowledge(&acknowledgement).await {
+        return Err(Mistake::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string(), "try again"));
+    }
+    Ok((StatusCode::ACCEPTED, Json(json!({"sent": true}))).into_response())
+}
+
+/// Whether there is an alert that somebody can have seen.
+fn check_acknowledgeable(store: &Store, parameter: &str) -> Result<(), Mistake> {
+    if !store.about.parameters.iter().any(|known| known.name == parameter) {
+        let names: Vec<&str> = store.about.parameters.iter().map(|known| known.name.as_str()).collect();
+        let allowed = format!("must be one of: {}", names.join(", "));
+        return Err(Mistake::new(StatusCode::NOT_FOUND, format!("parameter `{parameter}` is not known"), allowed));
+    }
+    let state = store.alerts.get(parameter).map(|alert| alert.state);
+    match state {
+        Some(AlertState::Raised | AlertState::Cleared | AlertState::Pending) => Ok(()),
+        Some(AlertState::Learning | AlertState::Normal | AlertState::Acknowledged) | None => {
+            let state = state.map_or("not known", AlertState::as_str);
+            let what = format!("the alert of {parameter} is {state}");
+            Err(Mistake::new(StatusCode::CONFLICT, what, "must be raised, pending or cleared"))
+        }
+    }
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Wanted {
+    structure: Option<String>,
+}
+
+async fn listen(
+    State(server): Shared,
+    wanted: Result<Query<Wanted>, QueryRejection>,
+    headers: HeaderMap,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Result<Response, Mistake> {
+    let Query(Wanted { structure }) = wanted?;
+    check_origin(&headers)?;
+    if let Some(name) = &structure {
+        drop(find(&server, name)?);
+    }
+    let upgrade = upgrade?.max_message_size(LARGEST_MESSAGE).max_frame_size(LARGEST_MESSAGE);
+    let Some(place) = server.admit() else {
+        return Err(Mistake::new(StatusCode::SERVICE_UNAVAILABLE, "too many browsers listen", "try again later"));
+    };
+    Ok(upgrade.on_upgrade(async move |socket| {
+        live::serve(socket, server, structure).await;
+        drop(place);
+    }))
+}
+
+#[cfg(test)]
+mod tests;

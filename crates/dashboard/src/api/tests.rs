@@ -1,0 +1,55 @@
+use super::*;
+use serde_json::Value;
+use std::collections::BTreeSet;
+
+#[test]
+fn the_description_has_every_route_and_no_other() {
+    let description: Value = serde_json::from_str(OPENAPI).unwrap();
+    let described: BTreeSet<(String, String)> = description["paths"]
+        .as_object()
+        .unwrap()
+        .iter()
+        .flat_map(|(path, methods)| {
+            methods.as_object().unwrap().keys().map(|method| (path.clone(), method.to_uppercase()))
+        })
+        .collect();
+    let served: BTreeSet<(String, String)> =
+        routes().into_iter().map(|(path, method, _)| (path.to_owned(), method.to_string())).collect();
+    assert_eq!(described, served);
+}
+
+#[test]
+fn every_reference_of_the_description_leads_somewhere() {
+    fn check(value: &Value, whole: &Value) {
+        match value {
+            Value::Object(fields) => {
+                if let Some(Value::String(reference)) = fields.get("$ref") {
+                    let pointer = reference.strip_prefix('#').unwrap();
+                    assert!(whole.pointer(pointer).is_some(), "{reference} leads nowhere");
+                }
+                fields.values().for_each(|value| check(value, whole));
+            }
+            Value::Array(values) => values.iter().for_each(|value| check(value, whole)),
+            _ => {}
+        }
+    }
+    let description: Value = serde_json::from_str(OPENAPI).unwrap();
+    check(&description, &description);
+}
+
+#[test]
+fn only_a_page_of_this_server_may_send() {
+    let headers = |origin: Option<&str>| {
+        let mut headers = HeaderMap::new();
+        headers.insert(HOST, "127.0.0.1:8080".parse().unwrap());
+        if let Some(origin) = origin {
+            headers.insert(ORIGIN, origin.parse().unwrap());
+        }
+        headers
+    };
+    assert!(check_origin(&headers(None)).is_ok(), "a script says nothing");
+    assert!(check_origin(&headers(Some("http://127.0.0.1:8080"))).is_ok());
+    for other in ["http://127.0.0.1:8081", "https://example.org", "null"] {
+        assert_eq!(check_origin(&headers(Some(other))).unwrap_err().status, StatusCode::FORBIDDEN, "{other}");
+    }
+}

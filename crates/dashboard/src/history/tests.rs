@@ -1,0 +1,73 @@
+use super::*;
+use crate::testing::{demo, parameter};
+
+const SECOND: i64 = 1_000_000_000;
+
+fn heard() -> Store {
+    let mut store = demo();
+    for second in 0..100 {
+        store.handle(parameter("storey-1", second * SECOND, 1.0, 0.25));
+        store.handle(parameter("storey-2", second * SECOND + 1, 0.5, 0.75));
+    }
+    store
+}
+
+fn refused(asked: Asked) -> Refused {
+    Request::new(&asked, &heard()).unwrap_err()
+}
+
+#[test]
+fn a_span_has_what_lies_in_it_in_as_many_points_as_asked_for() {
+    let store = heard();
+    let asked = Asked {
+        series: Some("parameter/storey-1".into()),
+        from: Some(10.0),
+        to: Some(49.0),
+        points: Some(20),
+        ..Asked::default()
+    };
+    let span = read(&store, &Request::new(&asked, &store).unwrap());
+    let [series] = &span.series[..] else { panic!("{} series", span.series.len()) };
+    assert_eq!(series.columns, ["time_s", "mean", "std", "probability_of_loss"]);
+    assert_eq!((series.data[0].len(), series.data[0][0], series.data[0][19]), (20, 11.0, 49.0));
+    assert_eq!(span.kept_from_s, Some(0.0));
+}
+
+#[test]
+fn rows_of_a_file_have_one_time_and_empty_fields_where_nothing_was_measured() {
+    let store = heard();
+    let asked = Asked { from: Some(0.0), to: Some(0.5), ..Asked::default() };
+    let csv = read(&store, &Request::new(&asked, &store).unwrap()).csv();
+    let lines: Vec<&str> = csv.lines().collect();
+    assert_eq!(
+        lines,
+        [
+            "time,parameter/storey-1.mean,parameter/storey-1.std,parameter/storey-1.probability_of_loss,\
+             parameter/storey-2.mean,parameter/storey-2.std,parameter/storey-2.probability_of_loss",
+            "1970-01-01T00:00:00Z,1,0.01,0.25,,,",
+            "1970-01-01T00:00:00.000000001Z,,,,0.5,0.01,0.75",
+        ]
+    );
+}
+
+#[test]
+fn what_has_not_come_yet_is_empty_and_no_mistake() {
+    let store = demo();
+    let asked = Asked { series: Some("parameter/storey-3,consistency/all,noise/floors".into()), ..Asked::default() };
+    let span = read(&store, &Request::new(&asked, &store).unwrap());
+    assert_eq!(span.kept_from_s, None);
+    let widths: Vec<usize> = span.series.iter().map(|series| series.data.len()).collect();
+    assert_eq!(widths, [4, 2, 3]);
+    assert!(span.series.iter().all(|series| series.data[0].is_empty()));
+    assert_eq!(span.csv().lines().count(), 1);
+}
+
+#[test]
+fn what_cannot_be_asked_is_refused_with_what_can() {
+    let unknown = refused(Asked { series: Some("parameter/storey-9".into()), ..Asked::default() });
+    assert_eq!(unknown.what, "series `parameter/storey-9` is not known");
+    assert_eq!(unknown.allowed, "must be one of: parameter/storey-1, parameter/storey-2");
+    assert_eq!(refused(Asked { points: Some(0), ..Asked::default() }).what, "points is 0");
+    assert!(refused(Asked { from: Some(2.0), to: Some(1.0), ..Asked::default() }).what.contains("from 2 to 1"));
+    assert!(refused(Asked { from: Some(f64::NAN), ..Asked::default() }).what.contains("NaN"));
+}

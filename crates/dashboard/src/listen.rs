@@ -1,0 +1,167 @@
+//! Listens to everything that people look at of one structure.
+
+use crate::store::Input;
+use spandrel_bus::{
+    Acknowledgement, AlertMessage, Bus, BusError, EstimateBlock, Event, Keys, LiveWatch, Message, ModelClassDisplay,
+    Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Service, Status, Subscription, Topic, parse_key,
+};
+use std::collections::BTreeSet;
+use std::time::Duration;
+use tokio::task::JoinSet;
+use tracing::warn;
+
+/// Values of the display rate that wait to be taken; at full speed the oldest are overwritten and counted.
+const VALUES_WAITING: usize = 8_192;
+/// Blocks of estimates that wait; of those only innovations are taken, and a lost one is a hole in a plot.
+const BLOCKS_WAITING: usize = 256;
+/// Alerts and what else must not be missed: far more than come in a tick.
+const ALERTS_WAITING: usize = 4_096;
+/// Time for the alert service to say how its alerts stand.
+const ANSWER_WITHIN: Duration = Duration::from_secs(2);
+
+/// All subscriptions of one structure.
+#[derive(Debug)]
+pub(crate) struct Listening {
+    bus: Bus,
+    keys: Keys,
+    parameters: Subscription<ParameterDisplay>,
+    noise: Subscription<NoiseDisplay>,
+    outliers: Subscription<OutlierDisplay>,
+    classes: Subscription<ModelClassDisplay>,
+    nodes: Subscription<NodeDisplay>,
+    estimates: Subscription<EstimateBlock>,
+    alerts: Subscription<AlertMessage>,
+    acknowledgements: Subscription<Acknowledgement>,
+    events: Subscription<Event>,
+    statuses: Subscription<Status>,
+    live: Vec<LiveWatch>,
+    present: BTreeSet<(Service, Name)>,
+    asked: JoinSet<Result<Vec<(String, AlertMessage)>, BusError>>,
+}
+
+impl Listening {
+    pub(crate) async fn start(bus: &Bus, keys: &Keys) -> Result<Self, BusError> {
+        let mut live = Vec::new();
+        for service in Service::ALL {
+            live.push(bus.watch_live(keys.all_live(service)).await?);
+        }
+        let mut listening = Self {
+            parameters: bus.subscribe(keys.all_parameters(), VALUES_WAITING).await?,
+            noise: bus.subscribe(keys.all_noise(), VALUES_WAITING).await?,
+            outliers: bus.subscribe(keys.all_outliers(), VALUES_WAITING).await?,
+            classes: bus.subscribe(keys.model_class(), VALUES_WAITING).await?,
+            nodes: bus.subscribe(keys.all_nodes(), VALUES_WAITING).await?,
+            estimates: bus.subscribe(keys.estimates(), BLOCKS_WAITING).await?,
+            alerts: bus.subscribe(keys.all_alerts(), ALERTS_WAITING).await?,
+            acknowledgements: bus.subscribe(keys.all_acknowledgements(), ALERTS_WAITING).await?,
+            events: bus.subscribe(keys.event(), ALERTS_WAITING).await?,
+            statuses: bus.subscribe(keys.all_statuses(), ALERTS_WAITING).await?,
+            live,
+            present: BTreeSet::new(),
+            asked: JoinSet::new(),
+            bus: bus.clone(),
+            keys: keys.clone(),
+        };
+        listening.ask();
+        Ok(listening)
+    }
+
+    /// Asks how the alerts stand; the answer comes with what is gathered later.
+    fn ask(&mut self) {
+        let (bus, alerts) = (self.bus.clone(), self.keys.all_alerts());
+        self.asked.spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
+    }
+
+    /// Adds what has come since the last time; what is on a key that says otherwise is left out.
+    pub(crate) fn gather(&mut self, inputs: &mut Vec<Input>) {
+        self.gather_present(inputs);
+        let keys = self.keys.clone();
+        let mut take = Taking { keys: &keys, inputs };
+        take.all(&self.statuses, |_| None, Input::Status);
+        take.all(&self.parameters, |m| Some((&m.structure, Topic::Parameter(m.parameter.clone()))), Input::Parameter);
+        take.all(&self.noise, |m| Some((&m.structure, Topic::Noise(m.name.clone()))), Input::Noise);
+        take.all(&self.outliers, |m| Some((&m.structure, Topic::Outlier(m.channel.clone()))), Input::Outlier);
+        take.all(&self.classes, |m| Some((&m.structure, Topic::ModelClass)), Input::Classes);
+        take.all(&self.nodes, |m| Some((&m.structure, Topic::Node(m.node.clone()))), Input::Node);
+        take.all(&self.estimates, |_| None, Input::Estimates);
+        let of_acknowledgement = |m: &Acknowledgement| Topic::Acknowledge(m.parameter.clone());
+        take.all(&self.acknowledgements, |m| Some((&m.structure, of_acknowledgement(m))), Input::Acknowledgement);
+        take.all(&self.alerts, |m| Some((&m.structure, Topic::Alert(m.parameter.clone()))), Input::Alert);
+        take.all(&self.events, |m| Some((&m.structure, Topic::Event)), Input::Event);
+        while let Some(answer) = self.asked.try_join_next() {
+            match answer {
+                Ok(Ok(alerts)) => inputs.extend(alerts.into_iter().map(|(_, alert)| Input::StandingAlert(alert))),
+                Ok(Err(error)) => warn!(%error, "cannot ask for the last alerts"),
+                Err(error) => warn!(%error, "question for the last alerts is lost"),
+            }
+        }
+    }
+
+    fn gather_present(&mut self, inputs: &mut Vec<Input>) {
+        let keys = self.live.iter().flat_map(LiveWatch::present);
+        let instance = |key: String| match parse_key(self.keys.root(), &key)? {
+            (_, Topic::Live(service, id)) => Some((service, id)),
+            _ => None,
+        };
+        let present: BTreeSet<(Service, Name)> = keys.filter_map(instance).collect();
+        if present == self.present {
+            return;
+        }
+        // one that has come back, or that was reached again, may stand otherwise than we know
+        if present.difference(&self.present).any(|(service, _)| *service == Service::Alert) {
+            self.ask();
+        }
+        self.present.clone_from(&present);
+        inputs.push(Input::Present(present));
+    }
+
+    /// Messages that newer ones have pushed out or that were refused, by reason.
+    pub(crate) fn refused(&self) -> std::collections::BTreeMap<String, u64> {
+        let all = [
+            self.parameters.refused(),
+            self.noise.refused(),
+            self.outliers.refused(),
+            self.classes.refused(),
+            self.nodes.refused(),
+            self.estimates.refused(),
+            self.alerts.refused(),
+            self.acknowledgements.refused(),
+            self.events.refused(),
+            self.statuses.refused(),
+        ];
+        let mut sum = std::collections::BTreeMap::new();
+        for (reason, count) in all.into_iter().flatten() {
+            let reason = if reason == "overwritten" { reason.to_owned() } else { format!("refused-{reason}") };
+            *sum.entry(reason).or_default() += count;
+        }
+        sum
+    }
+}
+
+/// Takes what has come for one structure.
+struct Taking<'t> {
+    keys: &'t Keys,
+    inputs: &'t mut Vec<Input>,
+}
+
+impl Taking<'_> {
+    /// Takes all that waits; a message that says another place than that of its key is left out.
+    fn all<M: Message + Send + 'static>(
+        &mut self,
+        subscription: &Subscription<M>,
+        place: impl Fn(&M) -> Option<(&Name, Topic)>,
+        input: impl Fn(M) -> Input,
+    ) {
+        let messages = subscription.messages();
+        // what comes meanwhile waits: a source at full speed must not keep us here
+        for (key, message) in messages.try_iter().take(messages.len()) {
+            let of_key = parse_key(self.keys.root(), &key);
+            let is_in_place = place(&message).is_none_or(|(structure, topic)| {
+                of_key.is_some_and(|(key_structure, key_topic)| (structure, topic) == (&key_structure, key_topic))
+            });
+            if is_in_place {
+                self.inputs.push(input(message));
+            }
+        }
+    }
+}

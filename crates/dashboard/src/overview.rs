@@ -1,0 +1,195 @@
+//! What somebody has to know first: whether a structure needs attention, and why.
+
+use crate::sensors::{SensorHealth, sensor_states};
+use crate::store::Store;
+use serde::Serialize;
+use spandrel_bus::{AlertMessage, AlertState, Phase, Service};
+
+/// How urgent a structure is, the most urgent first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Level {
+    /// An alert is raised, and nobody has said that he looks at it.
+    Alarm,
+    /// Nothing is measured any more, so that nobody knows.
+    Stale,
+    /// A loss is credible but not yet for long enough, or what the estimates rest on is not sound.
+    Warning,
+    /// An alert stands that somebody has seen, or is over.
+    Notice,
+    /// Nothing is decided yet.
+    Learning,
+    /// No loss was found.
+    Normal,
+}
+
+/// A structure in one line.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Overview {
+    pub(crate) name: String,
+    pub(crate) description: String,
+    pub(crate) level: Level,
+    /// Why it has this level, for a person.
+    pub(crate) sentence: String,
+    pub(crate) worst: Option<Worst>,
+    /// Wall clock less time of the last frame identified (s); negative when a simulation is ahead of time.
+    pub(crate) lag_s: Option<f64>,
+    /// How long ago something was heard (s).
+    pub(crate) age_s: Option<f64>,
+    /// Time of measurement of the newest value (s since the Unix epoch, UTC).
+    pub(crate) time_s: Option<f64>,
+    pub(crate) sensors: SensorCount,
+    pub(crate) last_alert: Option<LastAlert>,
+    /// Alerts that are raised, and that nobody has acknowledged.
+    pub(crate) raised: usize,
+}
+
+/// The parameter that has most probably lost stiffness.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Worst {
+    pub(crate) parameter: String,
+    pub(crate) probability_of_loss: f64,
+    /// The loss that the probability is asked for, a share of the reference.
+    pub(crate) loss: f64,
+    pub(crate) mean: f64,
+    pub(crate) std: f64,
+}
+
+/// How many channels there are, and do their work.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub(crate) struct SensorCount {
+    pub(crate) alive: usize,
+    pub(crate) total: usize,
+    /// Those that are known not to.
+    pub(crate) troubled: Vec<String>,
+}
+
+/// The last change of an alert that people should know of.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct LastAlert {
+    pub(crate) parameter: String,
+    pub(crate) state: AlertState,
+    pub(crate) time_s: f64,
+    pub(crate) why: String,
+}
+
+/// Looks at a structure as a whole.
+pub(crate) fn overview(store: &Store) -> Overview {
+    let sensors = sensor_count(store);
+    let (level, sentence) = attention(store, &sensors);
+    let worst = store.parameters.values().filter(|display| is_stiffness(store, display.parameter.as_str()));
+    // among several that are certain the one that has lost most
+    let worst = worst.max_by(|a, b| {
+        let ratio = |display: &spandrel_bus::ParameterDisplay| display.mean / display.reference;
+        a.probability_of_loss.total_cmp(&b.probability_of_loss).then(ratio(b).total_cmp(&ratio(a)))
+    });
+    let worst = worst.map(|display| Worst {
+        parameter: display.parameter.to_string(),
+        probability_of_loss: display.probability_of_loss,
+        loss: display.loss,
+        mean: display.mean,
+        std: display.std,
+    });
+    let last_alert = store.changes.front().map(|alert| LastAlert {
+        parameter: alert.parameter.to_string(),
+        state: alert.state,
+        time_s: alert.time_ns as f64 / 1e9,
+        why: alert.why.clone(),
+    });
+    let raised = alerts_in(store, AlertState::Raised).count();
+    Overview {
+        name: store.about.name.clone(),
+        description: store.about.description.clone(),
+        level,
+        sentence,
+        worst,
+        lag_s: lag_s(store),
+        age_s: store.silence().map(|silence| silence.as_secs_f64()),
+        time_s: store.time_ns.map(|time_ns| time_ns as f64 / 1e9),
+        sensors,
+        last_alert,
+        raised,
+    }
+}
+
+fn is_stiffness(store: &Store, name: &str) -> bool {
+    store.about.parameters.iter().any(|parameter| parameter.stiffness && parameter.name == name)
+}
+
+fn alerts_in(store: &Store, state: AlertState) -> impl Iterator<Item = &AlertMessage> {
+    store.alerts.values().filter(move |alert| alert.state == state)
+}
+
+/// The lag of who puts the estimates: the station where nodes identify for themselves.
+fn lag_s(store: &Store) -> Option<f64> {
+    let source = if store.about.distributed { Service::Fuse } else { Service::Identify };
+    let of_source = store.statuses.iter().find(|((service, _), _)| *service == source);
+    of_source.and_then(|(_, (status, _))| status.lag_s)
+}
+
+fn sensor_count(store: &Store) -> SensorCount {
+    let states = sensor_states(store);
+    let troubled = states.iter().filter(|sensor| sensor.health.is_trouble()).map(|sensor| sensor.channel.clone());
+    SensorCount {
+        alive: states.iter().filter(|sensor| sensor.health == SensorHealth::Alive).count(),
+        total: states.len(),
+        troubled: troubled.collect(),
+    }
+}
+
+fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
+    let raised: Vec<&AlertMessage> = alerts_in(store, AlertState::Raised).collect();
+    // the largest loss first
+    if let Some(first) = raised.iter().max_by(|a, b| a.loss.unwrap_or(0.0).total_cmp(&b.loss.unwrap_or(0.0))) {
+        let others = match raised.len() - 1 {
+            0 => String::new(),
+            1 => "; one more alert is raised".to_owned(),
+            more => format!("; {more} more alerts are raised"),
+        };
+        return (Level::Alarm, format!("{}{others}", first.why));
+    }
+    if store.is_stale() {
+        return (Level::Stale, "nothing is measured: what is shown is how it was".to_owned());
+    }
+    if let Some(pending) = alerts_in(store, AlertState::Pending).next() {
+        return (Level::Warning, pending.why.clone());
+    }
+    if !sensors.troubled.is_empty() {
+        let names = sensors.troubled.join(", ");
+        return (Level::Warning, format!("not used: {names}; the estimates rest on the other sensors"));
+    }
+    if let Some(missing) = missing_service(store) {
+        return (Level::Warning, format!("the service {} is gone", missing.as_str()));
+    }
+    if let Some(seen) = alerts_in(store, AlertState::Acknowledged).next() {
+        return (Level::Notice, seen.why.clone());
+    }
+    if let Some(cleared) = alerts_in(store, AlertState::Cleared).next() {
+        return (Level::Notice, cleared.why.clone());
+    }
+    if store.data_heard.is_none() {
+        return (Level::Learning, "waiting for the first estimates".to_owned());
+    }
+    if store.phase == Some(Phase::Training) {
+        return (Level::Learning, "the noise levels are being learnt; no alert is decided on meanwhile".to_owned());
+    }
+    if alerts_in(store, AlertState::Learning).next().is_some() {
+        return (Level::Learning, "the sound values are being learnt".to_owned());
+    }
+    if store.alerts.is_empty() {
+        return (Level::Learning, "no alert has been decided on yet".to_owned());
+    }
+    (Level::Normal, "no loss was found that the rules ask about".to_owned())
+}
+
+/// The first service that was there and is not any more.
+fn missing_service(store: &Store) -> Option<Service> {
+    let needed = [Service::Identify, Service::Fuse, Service::Alert, Service::Ingest];
+    needed.into_iter().find(|service| {
+        let was_there = store.seen.iter().any(|(seen, _)| seen == service);
+        was_there && !store.present.iter().any(|(present, _)| present == service)
+    })
+}
+
+#[cfg(test)]
+mod tests;

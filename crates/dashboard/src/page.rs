@@ -1,0 +1,96 @@
+//! The page: files that are part of the program, and the headers under which a browser gets them.
+
+use axum::http::header::{
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
+};
+use axum::http::{HeaderMap, HeaderValue};
+use axum::response::{IntoResponse, Response};
+
+/// What the page may do: load its own files, talk to its own server, and nothing else.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; \
+                      connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// A file of the page.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Asset {
+    pub(crate) path: &'static str,
+    content_type: &'static str,
+    content: &'static str,
+}
+
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+const STYLE: &str = "text/css; charset=utf-8";
+
+macro_rules! asset {
+    ($path:literal, $content_type:expr, $file:literal) => {
+        Asset { path: $path, content_type: $content_type, content: include_str!($file) }
+    };
+}
+
+/// All files.
+pub(crate) const ASSETS: &[Asset] = &[
+    asset!("/", "text/html; charset=utf-8", "../page/index.html"),
+    asset!("/icon.svg", "image/svg+xml", "../page/icon.svg"),
+    asset!("/style.css", STYLE, "../page/style.css"),
+    asset!("/uplot.css", STYLE, "../vendor/uplot/uPlot.min.css"),
+    asset!("/uplot.js", SCRIPT, "../vendor/uplot/uPlot.iife.min.js"),
+    asset!("/uplot-licence.txt", "text/plain; charset=utf-8", "../vendor/uplot/LICENSE"),
+    asset!("/app.js", SCRIPT, "../page/app.js"),
+    asset!("/connection.js", SCRIPT, "../page/connection.js"),
+    asset!("/dom.js", SCRIPT, "../page/dom.js"),
+    asset!("/words.js", SCRIPT, "../page/words.js"),
+    asset!("/overview.js", SCRIPT, "../page/overview.js"),
+    asset!("/structure.js", SCRIPT, "../page/structure.js"),
+    asset!("/drawing.js", SCRIPT, "../page/drawing.js"),
+    asset!("/plot.js", SCRIPT, "../page/plot.js"),
+    asset!("/plots.js", SCRIPT, "../page/plots.js"),
+    asset!("/span.js", SCRIPT, "../page/span.js"),
+    asset!("/alerts.js", SCRIPT, "../page/alerts.js"),
+];
+
+impl IntoResponse for Asset {
+    fn into_response(self) -> Response {
+        ([(CONTENT_TYPE, self.content_type)], self.content).into_response()
+    }
+}
+
+/// Adds the headers that every answer has.
+pub(crate) async fn with_headers(mut response: Response) -> Response {
+    let headers: &mut HeaderMap = response.headers_mut();
+    headers.insert(CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
+    headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+    // what is shown must be of this program, not of the one before its update
+    headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+    response
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_asks_for_nothing_but_its_own_files() {
+        for asset in ASSETS.iter().filter(|asset| !asset.path.starts_with("/uplot")) {
+            for line in asset.content.lines().filter(|line| !line.contains("http://www.w3.org/")) {
+                assert!(!line.contains("http://") && !line.contains("https://"), "{}: {line}", asset.path);
+                assert!(!line.contains("innerHTML"), "{}: {line}", asset.path);
+            }
+        }
+    }
+
+    #[test]
+    fn every_file_that_the_page_names_is_served() {
+        let served = |path: &str| ASSETS.iter().any(|asset| asset.path == path);
+        for asset in ASSETS.iter().filter(|asset| asset.path == "/" || asset.content_type == SCRIPT) {
+            let names = asset.content.split(['"', '\'']).filter(|text| {
+                let is_file = text.ends_with(".js") || text.ends_with(".css") || text.ends_with(".svg");
+                is_file && (text.starts_with('/') || text.starts_with("./")) && !text.contains(' ')
+            });
+            for name in names {
+                let path = name.strip_prefix('.').unwrap_or(name);
+                assert!(served(path), "{} names {name}", asset.path);
+            }
+        }
+    }
+}

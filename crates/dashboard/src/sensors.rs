@@ -1,0 +1,103 @@
+//! How each sensor does, from all that is said of it.
+
+use crate::store::{ALL_CHANNELS, Store};
+use crate::topic::{Kind, SeriesName};
+use serde::Serialize;
+use spandrel_bus::{ChannelState, Name, NodeHealth, Service};
+use spandrel_structure::DrawnSensor;
+
+/// Measurement time (ns) for which a channel must not have been used before it counts as silent.
+const SILENT_AFTER_NS: i64 = 3_000_000_000;
+
+/// What is known of a channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum SensorHealth {
+    /// It delivers.
+    Alive,
+    /// Its node was there and has gone.
+    Gone,
+    /// Its samples do not come, or none could be used.
+    Silent,
+    /// Its samples are wrong and are not used.
+    Faulty,
+    /// Its node disagrees with the others and is left out.
+    Excluded,
+    /// Its samples have come to their end, as those of a record.
+    Ended,
+    /// Nothing was heard of it yet.
+    Unknown,
+}
+
+impl SensorHealth {
+    /// Whether somebody should look after it.
+    pub(crate) fn is_trouble(self) -> bool {
+        match self {
+            Self::Gone | Self::Silent | Self::Faulty | Self::Excluded => true,
+            Self::Alive | Self::Ended | Self::Unknown => false,
+        }
+    }
+}
+
+/// A channel and how it does.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct SensorState {
+    pub(crate) channel: String,
+    pub(crate) node: String,
+    pub(crate) health: SensorHealth,
+}
+
+/// All channels in frame order.
+pub(crate) fn sensor_states(store: &Store) -> Vec<SensorState> {
+    let sensors = store.about.drawing.sensors.iter();
+    let state = |sensor: &DrawnSensor| SensorState {
+        channel: sensor.channel.clone(),
+        node: sensor.node.clone(),
+        health: health(store, sensor),
+    };
+    sensors.map(state).collect()
+}
+
+fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
+    let (node, channel) = (sensor.node.as_str(), sensor.channel.as_str());
+    let is_faulty = store.outliers.get(channel).is_some_and(|outlier| outlier.state == ChannelState::Faulty);
+    if is_faulty || store.excluded.contains(channel) {
+        return SensorHealth::Faulty;
+    }
+    match store.nodes.get(node).map(|display| display.state) {
+        Some(NodeHealth::Excluded) => return SensorHealth::Excluded,
+        Some(NodeHealth::Silent) => return SensorHealth::Silent,
+        Some(NodeHealth::Ended) => return SensorHealth::Ended,
+        Some(NodeHealth::Used) => return SensorHealth::Alive,
+        None => {}
+    }
+    let is_in = |set: &std::collections::BTreeSet<(Service, Name)>| {
+        set.iter().any(|(service, id)| *service == Service::Sensor && id.as_str() == node)
+    };
+    let (is_there, was_there) = (is_in(&store.present), is_in(&store.seen));
+    if was_there && !is_there {
+        return if all_nodes_left(store) { SensorHealth::Ended } else { SensorHealth::Gone };
+    }
+    let last_used = store.used_ns.get(channel);
+    match (last_used, store.used_ns.values().max()) {
+        (Some(used), Some(latest)) if latest - used > SILENT_AFTER_NS => SensorHealth::Silent,
+        (Some(_), _) => SensorHealth::Alive,
+        (None, Some(latest))
+            if !sensor.excitation && began_ns(store).is_some_and(|began| latest - began > SILENT_AFTER_NS) =>
+        {
+            SensorHealth::Silent
+        }
+        (None, _) if is_there => SensorHealth::Alive,
+        (None, _) => SensorHealth::Unknown,
+    }
+}
+
+/// Since when estimates have been heard.
+fn began_ns(store: &Store) -> Option<i64> {
+    store.series(&SeriesName::new(Kind::Consistency, ALL_CHANNELS))?.first_ns()
+}
+
+/// Whether no node is there any more: a record or simulation that has ended, or everything is off, which silence tells.
+fn all_nodes_left(store: &Store) -> bool {
+    !store.present.iter().any(|(service, _)| *service == Service::Sensor)
+}

@@ -1,0 +1,263 @@
+//! What is kept of one quantity over time: the latest points all of them, older ones combined, and no more than that.
+
+use std::collections::VecDeque;
+
+/// Points kept as they came: ten minutes at 10 Hz.
+const FINE_KEPT: usize = 6_000;
+/// Points that become one when they are kept for longer.
+const COMBINED: usize = 10;
+/// Combined points kept: 100 minutes at 10 Hz.
+const COARSE_KEPT: usize = 6_000;
+
+/// How several values of one column become one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Combine {
+    /// The newest stands for all.
+    Last,
+    /// The least, of lower ends.
+    Least,
+    /// The largest, of upper ends.
+    Largest,
+    /// All together, of counts.
+    Sum,
+}
+
+/// One quantity over time, in as many columns as `combine` has.
+#[derive(Clone, Debug)]
+pub(crate) struct Series {
+    combine: &'static [Combine],
+    fine: Table,
+    coarse: Table,
+    waiting: Table,
+    pushed: u64,
+    generation: u64,
+}
+
+/// Rows of a time (ns since the Unix epoch, UTC) and values.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Table {
+    width: usize,
+    times_ns: VecDeque<i64>,
+    values: VecDeque<f64>,
+}
+
+impl Series {
+    pub(crate) fn new(combine: &'static [Combine]) -> Self {
+        let table = Table { width: combine.len(), ..Table::default() };
+        Self { combine, fine: table.clone(), coarse: table.clone(), waiting: table, pushed: 0, generation: 0 }
+    }
+
+    /// Adds a point; what lies before the last one begins a new run of measurement, and the old one is forgotten.
+    pub(crate) fn push(&mut self, time_ns: i64, values: &[f64]) {
+        match self.fine.times_ns.back() {
+            Some(last) if time_ns < *last => {
+                self.fine.clear();
+                self.coarse.clear();
+                self.waiting.clear();
+                self.generation += 1;
+            }
+            Some(last) if time_ns == *last => return,
+            Some(_) | None => {}
+        }
+        self.pushed += 1;
+        self.fine.push(time_ns, values);
+        self.fine.keep(FINE_KEPT);
+        self.waiting.push(time_ns, values);
+        if self.waiting.len() == COMBINED {
+            self.waiting.combine_into(&mut self.coarse, 0..COMBINED, self.combine);
+            self.waiting.clear();
+            self.coarse.keep(COARSE_KEPT);
+        }
+    }
+
+    /// How many points were pushed so far.
+    pub(crate) fn pushed(&self) -> u64 {
+        self.pushed
+    }
+
+    /// How often time has gone back so far.
+    pub(crate) fn generation(&self) -> u64 {
+        self.generation
+    }
+
+    /// Time of the oldest point that is kept.
+    pub(crate) fn first_ns(&self) -> Option<i64> {
+        let firsts = [self.coarse.times_ns.front(), self.fine.times_ns.front()];
+        firsts.into_iter().flatten().min().copied()
+    }
+
+    /// The points that were pushed after the first `pushed` ones, as far as they are kept, combined to at most `most`.
+    pub(crate) fn since(&self, pushed: u64, most: usize) -> Table {
+        let new = usize::try_from(self.pushed.saturating_sub(pushed)).unwrap_or(usize::MAX).min(self.fine.len());
+        self.fine.combined(self.fine.len() - new..self.fine.len(), most, self.combine)
+    }
+
+    /// The points from one time to another, both included, combined to at most `most`.
+    pub(crate) fn span(&self, from_ns: i64, to_ns: i64, most: usize) -> Table {
+        let fine_from = self.fine.times_ns.front().copied().unwrap_or(i64::MAX);
+        let mut all = Table { width: self.combine.len(), ..Table::default() };
+        let older = self.coarse.within(from_ns, to_ns.min(fine_from.saturating_sub(1)));
+        let newer = self.fine.within(from_ns, to_ns);
+        for (table, rows) in [(&self.coarse, older), (&self.fine, newer)] {
+            for row in rows {
+                all.times_ns.push_back(table.times_ns[row]);
+                all.values.extend(table.row(row));
+            }
+        }
+        all.combined(0..all.len(), most, self.combine)
+    }
+}
+
+impl Table {
+    /// Number of rows.
+    pub(crate) fn len(&self) -> usize {
+        self.times_ns.len()
+    }
+
+    /// Times of the rows (ns since the Unix epoch, UTC).
+    pub(crate) fn times_ns(&self) -> impl Iterator<Item = i64> {
+        self.times_ns.iter().copied()
+    }
+
+    /// The values of one column.
+    pub(crate) fn column(&self, column: usize) -> impl Iterator<Item = f64> {
+        self.values.iter().skip(column).step_by(self.width.max(1)).copied()
+    }
+
+    /// The values of one row.
+    pub(crate) fn row(&self, row: usize) -> impl Iterator<Item = f64> {
+        self.values.range(row * self.width..(row + 1) * self.width).copied()
+    }
+
+    fn push(&mut self, time_ns: i64, values: &[f64]) {
+        self.times_ns.push_back(time_ns);
+        // a row of another width would move all that follow
+        let filled = values.iter().copied().chain(std::iter::repeat(f64::NAN));
+        self.values.extend(filled.take(self.width));
+    }
+
+    fn keep(&mut self, most: usize) {
+        while self.len() > most {
+            self.times_ns.pop_front();
+            self.values.drain(..self.width);
+        }
+    }
+
+    fn clear(&mut self) {
+        self.times_ns.clear();
+        self.values.clear();
+    }
+
+    /// The rows from one time to another, both included.
+    fn within(&self, from_ns: i64, to_ns: i64) -> std::ops::Range<usize> {
+        let from = self.times_ns.partition_point(|time| *time < from_ns);
+        let to = self.times_ns.partition_point(|time| *time <= to_ns);
+        from..to.max(from)
+    }
+
+    /// Some rows, neighbours put together until there are at most `most`.
+    fn combined(&self, rows: std::ops::Range<usize>, most: usize, combine: &[Combine]) -> Self {
+        let mut out = Self { width: self.width, ..Self::default() };
+        let each = rows.len().div_ceil(most.max(1)).max(1);
+        let mut start = rows.start;
+        while start < rows.end {
+            let end = (start + each).min(rows.end);
+            self.combine_into(&mut out, start..end, combine);
+            start = end;
+        }
+        out
+    }
+
+    /// Adds one row to `out` that stands for several here, at the time of the last of them.
+    fn combine_into(&self, out: &mut Self, rows: std::ops::Range<usize>, combine: &[Combine]) {
+        let Some(last) = rows.clone().last() else { return };
+        out.times_ns.push_back(self.times_ns[last]);
+        for (column, combine) in combine.iter().enumerate() {
+            let values = rows.clone().map(|row| self.values[row * self.width + column]);
+            out.values.push_back(match combine {
+                Combine::Last => self.values[last * self.width + column],
+                // NaN, a missing value, gives way to any number
+                Combine::Least => values.fold(f64::NAN, f64::min),
+                Combine::Largest => values.fold(f64::NAN, f64::max),
+                Combine::Sum => values.sum(),
+            });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RANGE: &[Combine] = &[Combine::Least, Combine::Largest];
+
+    fn ramp(points: i64) -> Series {
+        let mut series = Series::new(&[Combine::Last, Combine::Sum]);
+        (0..points).for_each(|time| series.push(time, &[time as f64, 1.0]));
+        series
+    }
+
+    #[test]
+    fn however_much_comes_no_more_than_promised_is_kept() {
+        let series = ramp(1_000_000);
+        assert_eq!((series.fine.len(), series.coarse.len()), (FINE_KEPT, COARSE_KEPT));
+        assert!(series.waiting.len() < COMBINED);
+        assert_eq!(series.values_kept(), 2 * (FINE_KEPT + COARSE_KEPT));
+    }
+
+    impl Series {
+        fn values_kept(&self) -> usize {
+            self.fine.values.len() + self.coarse.values.len() + self.waiting.values.len()
+        }
+    }
+
+    #[test]
+    fn a_span_goes_from_combined_points_to_fine_ones_without_overlap() {
+        let series = ramp(20_000);
+        let table = series.span(0, i64::MAX, usize::MAX);
+        let times: Vec<i64> = table.times_ns().collect();
+        assert!(times.is_sorted_by(|a, b| a < b));
+        assert_eq!((times[0], times[1]), (9, 19));
+        assert_eq!(times.len(), 1_400 + FINE_KEPT);
+        // nothing is counted twice, and only what has not been combined yet is missing
+        assert_eq!(table.column(1).sum::<f64>(), 20_000.0);
+    }
+
+    #[test]
+    fn extremes_survive_being_combined() {
+        let mut series = Series::new(RANGE);
+        for time in 0..1_000 {
+            let spike = if time == 123 { 50.0 } else { 1.0 };
+            series.push(time, &[-1.0, spike]);
+        }
+        let table = series.span(0, 999, 10);
+        assert_eq!(table.len(), 10);
+        assert_eq!(table.column(1).fold(0.0, f64::max), 50.0);
+        assert_eq!(table.column(0).fold(0.0, f64::min), -1.0);
+    }
+
+    #[test]
+    fn missing_values_give_way_to_numbers() {
+        let mut series = Series::new(RANGE);
+        series.push(0, &[f64::NAN, f64::NAN]);
+        series.push(1, &[-2.0, 3.0]);
+        let table = series.since(0, 1);
+        assert_eq!(table.row(0).collect::<Vec<_>>(), [-2.0, 3.0]);
+    }
+
+    #[test]
+    fn what_is_new_is_told_once() {
+        let mut series = ramp(100);
+        let seen = series.pushed();
+        assert_eq!(series.since(seen, 10).len(), 0);
+        series.push(100, &[7.0, 1.0]);
+        assert_eq!(series.since(seen, 10).times_ns().collect::<Vec<_>>(), [100]);
+    }
+
+    #[test]
+    fn time_that_goes_back_begins_anew() {
+        let mut series = ramp(500);
+        series.push(3, &[0.0, 1.0]);
+        assert_eq!((series.generation(), series.first_ns(), series.fine.len()), (1, Some(3), 1));
+    }
+}

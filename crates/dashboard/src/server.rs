@@ -1,0 +1,106 @@
+//! What all requests share: the pictures of the structures, and the way to the bus.
+
+use crate::overview::{Overview, overview};
+use crate::store::Store;
+use spandrel_bus::{Acknowledgement, Bus, BusError, Keys};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{SystemTime, UNIX_EPOCH};
+use tokio::sync::watch;
+
+/// Browsers that may listen at the same time.
+const MOST_CLIENTS: usize = 64;
+
+/// Shared by the requests and by what listens to the bus.
+#[derive(Debug)]
+pub(crate) struct Server {
+    bus: Bus,
+    structures: Vec<(Keys, Mutex<Store>)>,
+    clients: AtomicUsize,
+    stopped: watch::Sender<bool>,
+}
+
+/// A place among the clients; it is free again when this is dropped.
+#[derive(Debug)]
+pub(crate) struct ClientPlace(std::sync::Arc<Server>);
+
+impl Drop for ClientPlace {
+    fn drop(&mut self) {
+        self.0.clients.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl Server {
+    pub(crate) fn new(bus: Bus, structures: Vec<(Keys, Store)>) -> Self {
+        let structures = structures.into_iter().map(|(keys, store)| (keys, Mutex::new(store))).collect();
+        Self { bus, structures, clients: AtomicUsize::new(0), stopped: watch::Sender::new(false) }
+    }
+
+    /// The picture of one structure.
+    pub(crate) fn store(&self, name: &str) -> Option<MutexGuard<'_, Store>> {
+        let (_, store) = self.structures.iter().find(|(keys, _)| keys.structure().as_str() == name)?;
+        Some(lock(store))
+    }
+
+    /// The pictures of all structures, one after the other.
+    pub(crate) fn stores(&self) -> impl Iterator<Item = MutexGuard<'_, Store>> {
+        self.structures.iter().map(|(_, store)| lock(store))
+    }
+
+    /// All structures in one line each, what is most urgent first.
+    pub(crate) fn overviews(&self) -> Vec<Overview> {
+        let mut all: Vec<Overview> = self.stores().map(|store| overview(&store)).collect();
+        all.sort_by(|a, b| a.level.cmp(&b.level).then(a.name.cmp(&b.name)));
+        all
+    }
+
+    /// The names of the structures.
+    pub(crate) fn names(&self) -> Vec<&str> {
+        self.structures.iter().map(|(keys, _)| keys.structure().as_str()).collect()
+    }
+
+    /// Puts an acknowledgement on the bus.
+    pub(crate) async fn acknowledge(&self, acknowledgement: &Acknowledgement) -> Result<(), BusError> {
+        let Some((keys, _)) = self.structures.iter().find(|(keys, _)| *keys.structure() == acknowledgement.structure)
+        else {
+            return Ok(());
+        };
+        let publisher = self.bus.publish_display(keys.acknowledge(&acknowledgement.parameter)).await?;
+        publisher.put(acknowledgement).await
+    }
+
+    /// A place for one more client; none where all are taken.
+    pub(crate) fn admit(self: &std::sync::Arc<Self>) -> Option<ClientPlace> {
+        let admitted = self.clients.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |clients| {
+            (clients < MOST_CLIENTS).then_some(clients + 1)
+        });
+        admitted.is_ok().then(|| ClientPlace(self.clone()))
+    }
+
+    /// Tells all requests to end.
+    pub(crate) fn stop(&self) {
+        self.stopped.send_replace(true);
+    }
+
+    /// Whether all requests are to end.
+    pub(crate) fn stopped(&self) -> watch::Receiver<bool> {
+        self.stopped.subscribe()
+    }
+}
+
+/// A picture that a thread left while it panicked is still whole: each input is taken at once.
+fn lock(store: &Mutex<Store>) -> MutexGuard<'_, Store> {
+    store.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The wall clock (ns since the Unix epoch, UTC).
+pub(crate) fn now_ns() -> i64 {
+    #[expect(clippy::disallowed_methods, reason = "people are told how old things are, and when they acknowledged")]
+    let now = SystemTime::now();
+    now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64)
+}
+
+/// The same in seconds.
+pub(crate) fn now_s() -> f64 {
+    now_ns() as f64 / 1e9
+}

@@ -1,0 +1,188 @@
+//! Joins the dashboard to bus and browsers.
+
+use crate::about::About;
+use crate::api::router;
+use crate::error::DashboardError;
+use crate::listen::Listening;
+use crate::server::{Server, now_ns};
+use crate::store::{Input, Store};
+use spandrel_bus::{Bus, DisplayPublisher, Keys, LiveToken, Name, Service, Status};
+use spandrel_structure::Structure;
+use std::future::Future;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::net::TcpListener;
+use tokio::time::MissedTickBehavior;
+use tracing::{info, warn};
+
+/// Address of the first dashboard on a machine: reachable from this machine only.
+pub const DEFAULT_ADDRESS: &str = "127.0.0.1:8080";
+
+/// How often what has come from the bus is taken.
+const GATHER_EVERY: Duration = Duration::from_millis(50);
+/// How often the status is put.
+const STATUS_EVERY: Duration = Duration::from_secs(1);
+/// Time for requests to end after a stop.
+const END_WITHIN: Duration = Duration::from_secs(2);
+
+/// Where the page is served.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Listen {
+    /// At [`DEFAULT_ADDRESS`], or on a free port of the loopback interface if that is taken.
+    Default,
+    /// Here and nowhere else; port 0 is any free one.
+    At(String),
+}
+
+/// The dashboard of one or more structures.
+#[derive(Debug)]
+pub struct DashboardService {
+    listener: TcpListener,
+    address: SocketAddr,
+    server: Arc<Server>,
+    sources: Vec<Source>,
+    id: Name,
+}
+
+/// What is heard of one structure, and what is said of it.
+#[derive(Debug)]
+struct Source {
+    keys: Keys,
+    listening: Listening,
+    status: DisplayPublisher<Status>,
+    token: LiveToken,
+    taken: u64,
+}
+
+impl DashboardService {
+    /// Takes the address, listens to the bus and shows its liveliness tokens; `id` names this instance.
+    ///
+    /// # Errors
+    /// When the address cannot be listened on, or the bus refuses a declaration.
+    pub async fn start(
+        structures: &[(&Structure, Keys)],
+        bus: &Bus,
+        listen: &Listen,
+        id: Name,
+    ) -> Result<Self, DashboardError> {
+        let listener = bind(listen).await?;
+        let serve = |source| DashboardError::Serve { source };
+        let address = listener.local_addr().map_err(serve)?;
+        let mut stores = Vec::new();
+        let mut sources = Vec::new();
+        for (structure, keys) in structures {
+            stores.push((keys.clone(), Store::new(About::new(structure))));
+            sources.push(Source {
+                listening: Listening::start(bus, keys).await?,
+                status: bus.publish_display(keys.status(Service::Dashboard, &id)).await?,
+                token: bus.announce(keys.live(Service::Dashboard, &id)).await?,
+                keys: keys.clone(),
+                taken: 0,
+            });
+        }
+        let server = Arc::new(Server::new(bus.clone(), stores));
+        info!(address = %address, structures = structures.len(), "dashboard ready");
+        Ok(Self { listener, address, server, sources, id })
+    }
+
+    /// Where the page is served.
+    #[must_use]
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Runs until `stop`.
+    ///
+    /// # Errors
+    /// When the bus is closed underneath, or browsers can no longer be served.
+    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), DashboardError> {
+        let mut stopped = self.server.stopped();
+        let ended = async move {
+            // the server is kept until the end of this function, so that this waits for its word
+            let _ = stopped.wait_for(|stopped| *stopped).await;
+        };
+        let serving = axum::serve(self.listener, router(self.server.clone())).with_graceful_shutdown(ended);
+        let mut serving = tokio::spawn(async move { serving.await });
+        let listened = tokio::select! {
+            listened = listen(&mut self.sources, &self.server, &self.id) => listened,
+            served = &mut serving => return Err(broken(served)),
+            () = stop => Ok(()),
+        };
+        self.server.stop();
+        if tokio::time::timeout(END_WITHIN, &mut serving).await.is_err() {
+            // a browser that keeps its connection open must not keep the program
+            serving.abort();
+        }
+        for source in self.sources {
+            source.token.withdraw().await?;
+        }
+        listened
+    }
+}
+
+fn broken(served: Result<io::Result<()>, tokio::task::JoinError>) -> DashboardError {
+    let source = match served {
+        Ok(Ok(())) => io::Error::other("ended before its time"),
+        Ok(Err(source)) => source,
+        Err(source) => io::Error::other(source),
+    };
+    DashboardError::Serve { source }
+}
+
+async fn bind(listen: &Listen) -> Result<TcpListener, DashboardError> {
+    let (address, may_move) = match listen {
+        Listen::Default => (DEFAULT_ADDRESS, true),
+        Listen::At(address) => (address.as_str(), false),
+    };
+    match TcpListener::bind(address).await {
+        Ok(listener) => Ok(listener),
+        Err(source) if may_move && source.kind() == io::ErrorKind::AddrInUse => {
+            warn!(taken = address, "the usual address of the page is taken, a free port is used instead");
+            let free = "127.0.0.1:0";
+            let listener = TcpListener::bind(free).await;
+            listener.map_err(|source| DashboardError::Listen { address: free.to_owned(), source })
+        }
+        Err(source) => Err(DashboardError::Listen { address: address.to_owned(), source }),
+    }
+}
+
+/// Takes from the bus, and puts the status, for ever.
+async fn listen(sources: &mut [Source], server: &Server, id: &Name) -> Result<(), DashboardError> {
+    #[expect(clippy::disallowed_methods, reason = "how long nothing was heard is told by the clock of the wall")]
+    let start = Instant::now();
+    let service = Name::new(Service::Dashboard.as_str())?;
+    let mut gather = tokio::time::interval(GATHER_EVERY);
+    gather.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    let mut status = tokio::time::interval(STATUS_EVERY);
+    let mut inputs = Vec::new();
+    loop {
+        tokio::select! {
+            _ = gather.tick() => for source in &mut *sources {
+                source.listening.gather(&mut inputs);
+                source.taken += inputs.len() as u64;
+                if let Some(mut store) = server.store(source.keys.structure().as_str()) {
+                    store.handle(Input::Now(start.elapsed()));
+                    inputs.drain(..).for_each(|input| store.handle(input));
+                }
+            },
+            _ = status.tick() => for source in &*sources {
+                let time_ns = now_ns();
+                let last_ns = server.store(source.keys.structure().as_str()).and_then(|store| store.time_ns);
+                let status = Status {
+                    structure: source.keys.structure().clone(),
+                    service: service.clone(),
+                    id: id.clone(),
+                    time_ns,
+                    lag_s: last_ns.map(|last_ns| time_ns.saturating_sub(last_ns) as f64 / 1e9),
+                    done: source.taken,
+                    drops: source.listening.refused(),
+                    restarts: 0,
+                    version: env!("CARGO_PKG_VERSION").to_owned(),
+                };
+                source.status.put(&status).await?;
+            },
+        }
+    }
+}

@@ -1,0 +1,343 @@
+//! Everything heard of one structure, bounded: messages in, a picture out. Knows no clock, no network.
+
+use crate::about::About;
+use crate::innovations::{Innovations, Interval};
+use crate::series::{Series, Table};
+use crate::topic::{Kind, SeriesName};
+use spandrel_bus::{
+    Acknowledgement, AlertMessage, AlertState, ChannelState, EstimateBlock, Event, EventKind, ModelClassDisplay, Name,
+    NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, Service, Status,
+};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
+
+/// Changes of alerts kept; the oldest make room.
+const CHANGES_KEPT: usize = 500;
+/// Events kept; the oldest make room.
+const EVENTS_KEPT: usize = 200;
+/// Model classes of which plausibilities are kept; more are shown as they stand, but not over time.
+const MOST_CLASSES: usize = 64;
+/// Name of what is about all channels together.
+pub(crate) const ALL_CHANNELS: &str = "all";
+/// After this silence data are old: display topics come at 10 Hz, status at 1 Hz.
+pub(crate) const STALE_AFTER: Duration = Duration::from_secs(3);
+
+/// What the picture reacts to.
+#[derive(Debug)]
+pub(crate) enum Input {
+    /// The time since some fixed moment: what follows is heard then.
+    Now(Duration),
+    Parameter(ParameterDisplay),
+    Noise(NoiseDisplay),
+    Outlier(OutlierDisplay),
+    Classes(ModelClassDisplay),
+    Node(NodeDisplay),
+    Estimates(EstimateBlock),
+    /// The alert of a parameter has changed.
+    Alert(AlertMessage),
+    /// An alert as it stood when somebody was asked for it.
+    StandingAlert(AlertMessage),
+    Acknowledgement(Acknowledgement),
+    Event(Event),
+    Status(Status),
+    /// Everybody who is there now.
+    Present(BTreeSet<(Service, Name)>),
+}
+
+/// One structure as far as it was heard.
+#[derive(Debug)]
+pub(crate) struct Store {
+    pub(crate) about: About,
+    pub(crate) now: Duration,
+    pub(crate) data_heard: Option<Duration>,
+    pub(crate) time_ns: Option<i64>,
+    pub(crate) parameters: BTreeMap<String, ParameterDisplay>,
+    pub(crate) noise: BTreeMap<String, NoiseDisplay>,
+    pub(crate) outliers: BTreeMap<String, OutlierDisplay>,
+    pub(crate) classes: Option<ModelClassDisplay>,
+    pub(crate) nodes: BTreeMap<String, NodeDisplay>,
+    pub(crate) phase: Option<Phase>,
+    pub(crate) alerts: BTreeMap<String, AlertMessage>,
+    /// Alerts of which the service that told them has gone; another one has not said anything of them yet.
+    pub(crate) stale_alerts: BTreeSet<String>,
+    pub(crate) notes: BTreeMap<String, Acknowledgement>,
+    /// Newest first.
+    pub(crate) changes: VecDeque<AlertMessage>,
+    /// Newest first.
+    pub(crate) events: VecDeque<Event>,
+    pub(crate) statuses: BTreeMap<(Service, Name), (Status, Duration)>,
+    pub(crate) present: BTreeSet<(Service, Name)>,
+    /// Nodes and services that were there at some time.
+    pub(crate) seen: BTreeSet<(Service, Name)>,
+    /// Channels that an event says are not used.
+    pub(crate) excluded: BTreeSet<String>,
+    /// Measurement time (ns) at which each channel was last used.
+    pub(crate) used_ns: BTreeMap<String, i64>,
+    innovations: Innovations,
+    series: BTreeMap<SeriesName, Series>,
+}
+
+impl Store {
+    pub(crate) fn new(about: About) -> Self {
+        Self {
+            innovations: Innovations::new(about.display_rate_hz),
+            about,
+            now: Duration::ZERO,
+            data_heard: None,
+            time_ns: None,
+            parameters: BTreeMap::new(),
+            noise: BTreeMap::new(),
+            outliers: BTreeMap::new(),
+            classes: None,
+            nodes: BTreeMap::new(),
+            phase: None,
+            alerts: BTreeMap::new(),
+            stale_alerts: BTreeSet::new(),
+            notes: BTreeMap::new(),
+            changes: VecDeque::new(),
+            events: VecDeque::new(),
+            statuses: BTreeMap::new(),
+            present: BTreeSet::new(),
+            seen: BTreeSet::new(),
+            excluded: BTreeSet::new(),
+            used_ns: BTreeMap::new(),
+            series: BTreeMap::new(),
+        }
+    }
+
+    /// Takes one input; names that the structure file does not have are left out.
+    pub(crate) fn handle(&mut self, input: Input) {
+        match input {
+            Input::Now(now) => self.now = now,
+            Input::Parameter(display) => self.take_parameter(display),
+            Input::Noise(display) => {
+                if self.about.noise.iter().any(|level| level.name == display.name.as_str()) {
+                    self.heard_data(display.time_ns);
+                    self.push(Kind::Noise, display.name.as_str(), display.time_ns, &[display.mean, display.std]);
+                    self.noise.insert(display.name.to_string(), display);
+                }
+            }
+            Input::Outlier(display) => self.take_outlier(display),
+            Input::Classes(display) => self.take_classes(display),
+            Input::Node(display) => self.take_node(display),
+            Input::Estimates(block) => {
+                let mut done = Vec::new();
+                self.innovations.handle(&block, &mut done);
+                done.into_iter().for_each(|interval| self.take_interval(&interval));
+            }
+            Input::Alert(alert) => self.take_alert(alert),
+            Input::StandingAlert(alert) => {
+                let name = alert.parameter.as_str();
+                // what came by itself meanwhile is at least as new, unless it is that of an earlier life
+                let known = self.alerts.get(name);
+                if known.is_none_or(|known| known.time_ns < alert.time_ns || self.stale_alerts.contains(name)) {
+                    self.take_alert(alert);
+                }
+            }
+            Input::Acknowledgement(acknowledgement) => {
+                if self.about.parameters.iter().any(|known| known.name == acknowledgement.parameter.as_str()) {
+                    self.notes.insert(acknowledgement.parameter.to_string(), acknowledgement);
+                }
+            }
+            Input::Event(event) => self.take_event(event),
+            Input::Status(status) => self.take_status(status),
+            Input::Present(present) => self.take_present(present),
+        }
+    }
+
+    fn heard_data(&mut self, time_ns: i64) {
+        self.data_heard = Some(self.now);
+        self.time_ns = Some(time_ns);
+    }
+
+    fn push(&mut self, kind: Kind, of: &str, time_ns: i64, values: &[f64]) {
+        let name = SeriesName::new(kind, of);
+        self.series.entry(name).or_insert_with(|| kind.series()).push(time_ns, values);
+    }
+
+    fn has_channel(&self, name: &str) -> bool {
+        self.about.drawing.sensors.iter().any(|sensor| sensor.channel == name)
+    }
+
+    fn take_parameter(&mut self, display: ParameterDisplay) {
+        let name = display.parameter.as_str();
+        if !self.about.parameters.iter().any(|known| known.name == name) {
+            return;
+        }
+        self.heard_data(display.time_ns);
+        self.push(Kind::Parameter, name, display.time_ns, &[display.mean, display.std, display.probability_of_loss]);
+        self.parameters.insert(display.parameter.to_string(), display);
+    }
+
+    fn take_outlier(&mut self, display: OutlierDisplay) {
+        let name = display.channel.as_str();
+        if !self.has_channel(name) {
+            return;
+        }
+        self.push(Kind::Outlier, name, display.time_ns, &[display.recent_share, display.flagged as f64]);
+        if display.state == ChannelState::Screening {
+            self.excluded.remove(name);
+        }
+        self.outliers.insert(display.channel.to_string(), display);
+    }
+
+    fn take_classes(&mut self, display: ModelClassDisplay) {
+        for class in &display.classes {
+            let name = SeriesName::new(Kind::Class, class.class.as_str());
+            let known = self.series.keys().filter(|name| name.kind == Kind::Class).count();
+            if known < MOST_CLASSES || self.series.contains_key(&name) {
+                self.push(Kind::Class, &class.class, display.time_ns, &[class.plausibility]);
+            }
+        }
+        self.classes = Some(display);
+    }
+
+    fn take_node(&mut self, display: NodeDisplay) {
+        let name = display.node.as_str();
+        if !self.about.drawing.sensors.iter().any(|sensor| sensor.node == name) {
+            return;
+        }
+        let [distance, limit] = [display.distance, display.distance_limit].map(|value| value.unwrap_or(f64::NAN));
+        self.push(Kind::Node, name, display.time_ns, &[distance, limit]);
+        self.nodes.insert(display.node.to_string(), display);
+    }
+
+    fn take_interval(&mut self, interval: &Interval) {
+        self.phase = Some(interval.phase);
+        if self.about.distributed {
+            return; // a station has estimates, but no innovations
+        }
+        for (row, (least, largest)) in interval.ends.iter().enumerate() {
+            let Some(channel) = self.about.observed_channel(row).map(str::to_owned) else { return };
+            if least.is_finite() {
+                self.used_ns.insert(channel.clone(), interval.time_ns);
+            }
+            self.push(Kind::Innovation, &channel, interval.time_ns, &[*least, *largest]);
+        }
+        self.push(Kind::Consistency, ALL_CHANNELS, interval.time_ns, &[interval.consistency]);
+    }
+
+    fn take_alert(&mut self, alert: AlertMessage) {
+        let name = alert.parameter.as_str();
+        if !self.about.parameters.iter().any(|known| known.name == name) {
+            return;
+        }
+        self.stale_alerts.remove(name);
+        let known = self.alerts.get(name);
+        if known == Some(&alert) {
+            return;
+        }
+        // that all is well is no news of what nothing was known of
+        if known.is_some() || !matches!(alert.state, AlertState::Normal | AlertState::Learning) {
+            self.changes.push_front(alert.clone());
+            self.changes.truncate(CHANGES_KEPT);
+        }
+        self.alerts.insert(alert.parameter.to_string(), alert);
+    }
+
+    fn take_event(&mut self, event: Event) {
+        if self.has_channel(&event.subject) {
+            match event.kind {
+                EventKind::ChannelExcluded => self.excluded.insert(event.subject.clone()),
+                EventKind::ChannelBack => self.excluded.remove(&event.subject),
+                EventKind::Restart
+                | EventKind::Calibration
+                | EventKind::Unidentified
+                | EventKind::LeadingClass
+                | EventKind::NodeExcluded
+                | EventKind::NodeBack
+                | EventKind::Gap => false,
+            };
+        }
+        self.events.push_front(event);
+        self.events.truncate(EVENTS_KEPT);
+    }
+
+    fn take_status(&mut self, status: Status) {
+        let service = Service::ALL.into_iter().find(|service| service.as_str() == status.service.as_str());
+        let Some(service) = service else { return };
+        let key = (service, status.id.clone());
+        if self.has_room(&key) || self.statuses.contains_key(&key) {
+            self.statuses.insert(key, (status, self.now));
+        }
+    }
+
+    /// Whether there is room for one more service or node: some for each declared node and then for a few more.
+    fn has_room(&self, key: &(Service, Name)) -> bool {
+        const OTHERS: usize = 64;
+        self.seen.contains(key) || self.seen.len() + self.statuses.len() < 4 * self.about.drawing.sensors.len() + OTHERS
+    }
+
+    fn take_present(&mut self, present: BTreeSet<(Service, Name)>) {
+        let has_alerts =
+            |present: &BTreeSet<(Service, Name)>| present.iter().any(|(service, _)| *service == Service::Alert);
+        if has_alerts(&self.present) && !has_alerts(&present) {
+            self.stale_alerts = self.alerts.keys().cloned().collect();
+        }
+        for key in &present {
+            if self.has_room(key) {
+                self.seen.insert(key.clone());
+            }
+        }
+        self.present = present;
+    }
+
+    /// How long nothing was measured; `None` before the first value.
+    pub(crate) fn silence(&self) -> Option<Duration> {
+        Some(self.now.saturating_sub(self.data_heard?))
+    }
+
+    /// Whether data come no longer, or do not come although somebody has decided on some before.
+    pub(crate) fn is_stale(&self) -> bool {
+        match self.silence() {
+            Some(silence) => silence > STALE_AFTER,
+            None => self.now > STALE_AFTER && !self.alerts.is_empty(),
+        }
+    }
+
+    /// The note of whoever acknowledged an alert.
+    pub(crate) fn note(&self, alert: &AlertMessage) -> Option<&str> {
+        let note = self.notes.get(alert.parameter.as_str())?;
+        let same = alert.acknowledged_by.as_deref() == Some(note.who.as_str());
+        (same && !note.note.is_empty()).then_some(note.note.as_str())
+    }
+
+    /// One series over time.
+    pub(crate) fn series(&self, name: &SeriesName) -> Option<&Series> {
+        self.series.get(name)
+    }
+
+    /// Whether there is or may come to be a series of this name.
+    pub(crate) fn may_have(&self, name: &SeriesName) -> bool {
+        let of = name.of.as_str();
+        match name.kind {
+            Kind::Parameter => self.about.parameters.iter().any(|parameter| parameter.name == of),
+            Kind::Noise => self.about.noise.iter().any(|level| level.name == of),
+            Kind::Innovation | Kind::Outlier => self.has_channel(of),
+            Kind::Consistency => of == ALL_CHANNELS,
+            Kind::Class => self.series.contains_key(name),
+            Kind::Node => self.about.drawing.sensors.iter().any(|sensor| sensor.node == of),
+        }
+    }
+
+    /// The names of all series that have points.
+    pub(crate) fn series_names(&self) -> impl Iterator<Item = &SeriesName> {
+        self.series.keys()
+    }
+
+    /// What was added to each series since a reader has last looked; its place is moved on.
+    pub(crate) fn news(&self, read: &mut BTreeMap<SeriesName, u64>, most: usize) -> Vec<(SeriesName, u64, Table)> {
+        let mut news = Vec::new();
+        for (name, series) in &self.series {
+            let place = read.entry(name.clone()).or_default();
+            if *place < series.pushed() {
+                news.push((name.clone(), series.generation(), series.since(*place, most)));
+                *place = series.pushed();
+            }
+        }
+        news
+    }
+}
+
+#[cfg(test)]
+mod tests;

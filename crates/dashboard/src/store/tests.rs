@@ -1,0 +1,107 @@
+use super::*;
+use crate::testing::{alert, at, demo, name, parameter};
+
+fn services(names: &[Service]) -> Input {
+    Input::Present(names.iter().map(|service| (*service, name(service.as_str()))).collect())
+}
+
+#[test]
+fn names_that_the_structure_file_does_not_have_are_left_out() {
+    let mut store = demo();
+    store.handle(parameter("storey-99", 0, 1.0, 0.0));
+    store.handle(Input::Alert(alert("storey-99", 0, AlertState::Raised)));
+    assert!(store.parameters.is_empty() && store.alerts.is_empty());
+    assert_eq!(store.series_names().count(), 0);
+}
+
+#[test]
+fn an_alert_is_stale_from_when_its_service_has_gone_until_one_says_how_it_stands() {
+    let mut store = demo();
+    store.handle(services(&[Service::Alert]));
+    store.handle(Input::Alert(alert("storey-2", 5, AlertState::Raised)));
+    store.handle(services(&[]));
+    assert!(store.stale_alerts.contains("storey-2"));
+    // an answer as old as what is known says that it still stands
+    store.handle(Input::StandingAlert(alert("storey-2", 5, AlertState::Raised)));
+    assert!(store.stale_alerts.is_empty());
+}
+
+#[test]
+fn an_answer_does_not_undo_what_came_by_itself() {
+    let mut store = demo();
+    store.handle(Input::Alert(alert("storey-2", 9, AlertState::Acknowledged)));
+    store.handle(Input::StandingAlert(alert("storey-2", 5, AlertState::Raised)));
+    assert_eq!(store.alerts["storey-2"].state, AlertState::Acknowledged);
+}
+
+#[test]
+fn that_all_is_well_at_first_is_no_change() {
+    let mut store = demo();
+    store.handle(Input::Alert(alert("storey-1", 0, AlertState::Normal)));
+    assert!(store.changes.is_empty());
+    store.handle(Input::Alert(alert("storey-1", 1, AlertState::Raised)));
+    store.handle(Input::Alert(alert("storey-1", 2, AlertState::Cleared)));
+    let states: Vec<AlertState> = store.changes.iter().map(|change| change.state).collect();
+    assert_eq!(states, [AlertState::Cleared, AlertState::Raised]);
+}
+
+#[test]
+fn a_note_belongs_to_the_person_who_acknowledged() {
+    let mut store = demo();
+    let seen = |who: &str| Acknowledgement {
+        structure: name("demo"),
+        parameter: name("storey-2"),
+        time_ns: 0,
+        who: who.into(),
+        note: "on my way".into(),
+    };
+    let acknowledged =
+        AlertMessage { acknowledged_by: Some("Ada".into()), ..alert("storey-2", 1, AlertState::Acknowledged) };
+    store.handle(Input::Acknowledgement(seen("Bob")));
+    assert_eq!(store.note(&acknowledged), None);
+    store.handle(Input::Acknowledgement(seen("Ada")));
+    assert_eq!(store.note(&acknowledged), Some("on my way"));
+}
+
+#[test]
+fn a_reader_gets_each_point_once_and_many_at_a_time_combined() {
+    let mut store = demo();
+    let mut read = BTreeMap::new();
+    (0..1_000).for_each(|time| store.handle(parameter("storey-1", time, 1.0, 0.0)));
+    let news = store.news(&mut read, 200);
+    assert_eq!((news.len(), news[0].2.len()), (1, 200));
+    assert!(store.news(&mut read, 200).is_empty());
+    store.handle(parameter("storey-1", 1_000, 1.0, 0.0));
+    assert_eq!(store.news(&mut read, 200)[0].2.len(), 1);
+}
+
+#[test]
+fn lists_keep_no_more_than_they_promise() {
+    let mut store = demo();
+    for time_ns in 0..2_000 {
+        let state = if time_ns % 2 == 0 { AlertState::Raised } else { AlertState::Cleared };
+        store.handle(Input::Alert(alert("storey-1", time_ns, state)));
+        store.handle(Input::Event(Event {
+            structure: name("demo"),
+            time_ns,
+            kind: EventKind::Gap,
+            subject: "identify".into(),
+            what: "1 frame is lost".into(),
+            why: "test".into(),
+        }));
+    }
+    assert_eq!((store.changes.len(), store.events.len()), (CHANGES_KEPT, EVENTS_KEPT));
+    assert_eq!(store.events[0].time_ns, 1_999);
+}
+
+#[test]
+fn data_are_old_after_a_silence() {
+    let mut store = demo();
+    store.handle(at(10.0));
+    assert!(!store.is_stale(), "nothing has come yet");
+    store.handle(parameter("storey-1", 0, 1.0, 0.0));
+    store.handle(at(12.9));
+    assert!(!store.is_stale());
+    store.handle(at(13.1));
+    assert!(store.is_stale());
+}

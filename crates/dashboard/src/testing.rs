@@ -1,0 +1,49 @@
+//! Messages and a store for tests.
+
+use crate::about::About;
+use crate::store::{Input, Store};
+use spandrel_bus::{AlertMessage, AlertState, Name, ParameterDisplay};
+use spandrel_structure::Structure;
+use std::path::Path;
+use std::time::Duration;
+
+pub(crate) fn name(text: &str) -> Name {
+    Name::new(text).unwrap()
+}
+
+/// The store of the demo, of which nothing was heard.
+pub(crate) fn demo() -> Store {
+    let text = include_str!("../../../docs/examples/demo.toml");
+    Store::new(About::new(&Structure::parse(text, Path::new("demo.toml")).unwrap()))
+}
+
+pub(crate) fn at(seconds: f64) -> Input {
+    Input::Now(Duration::from_secs_f64(seconds))
+}
+
+pub(crate) fn parameter(of: &str, time_ns: i64, mean: f64, probability: f64) -> Input {
+    let mut display = ParameterDisplay::of_gaussian((&name("demo"), &name(of)), time_ns, (mean, 1e-4), (0.05, 1.0));
+    display.probability_of_loss = probability;
+    Input::Parameter(display)
+}
+
+pub(crate) fn alert(of: &str, time_ns: i64, state: AlertState) -> AlertMessage {
+    AlertMessage {
+        structure: name("demo"),
+        parameter: name(of),
+        time_ns,
+        state,
+        since_ns: None,
+        rule_loss: 0.05,
+        rule_credibility: 0.99,
+        credibility: 1.0,
+        loss: Some(0.1),
+        loss_interval: None,
+        mean: 0.9,
+        std: 0.01,
+        reference: Some(1.0),
+        reference_std: Some(0.0),
+        acknowledged_by: None,
+        why: format!("{of} is {}", state.as_str()),
+    }
+}

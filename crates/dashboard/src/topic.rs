@@ -1,0 +1,110 @@
+//! The names of what is kept over time: a kind and, of that kind, which one.
+
+use crate::series::{Combine, Series};
+use std::fmt;
+
+/// What is kept over time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Kind {
+    /// A parameter: mean and standard deviation (ratios to nominal), probability of loss.
+    Parameter,
+    /// A noise level: mean and standard deviation of a variance (unit²).
+    Noise,
+    /// Innovations of a channel: least and largest of an interval (unit of the channel).
+    Innovation,
+    /// How well model and data agree: normalised innovation squared per channel used, 1 when all is well.
+    Consistency,
+    /// Screening of a channel: share of rejected samples among the late ones, and how many were rejected.
+    Outlier,
+    /// Plausibility of a model class.
+    Class,
+    /// A sensor node that identifies for itself: distance from the others, and the one from which on it is suspicious.
+    Node,
+}
+
+impl Kind {
+    /// All kinds.
+    pub(crate) const ALL: [Self; 7] =
+        [Self::Parameter, Self::Noise, Self::Innovation, Self::Consistency, Self::Outlier, Self::Class, Self::Node];
+
+    /// The word in requests.
+    pub(crate) fn as_str(self) -> &'static str {
+        match self {
+            Self::Parameter => "parameter",
+            Self::Noise => "noise",
+            Self::Innovation => "innovation",
+            Self::Consistency => "consistency",
+            Self::Outlier => "outlier",
+            Self::Class => "class",
+            Self::Node => "node",
+        }
+    }
+
+    /// The names of the columns.
+    pub(crate) fn columns(self) -> &'static [&'static str] {
+        match self {
+            Self::Parameter => &["mean", "std", "probability_of_loss"],
+            Self::Noise => &["mean", "std"],
+            Self::Innovation => &["least", "largest"],
+            Self::Consistency => &["normalised_innovation_squared"],
+            Self::Outlier => &["recent_share", "flagged"],
+            Self::Class => &["plausibility"],
+            Self::Node => &["distance", "distance_limit"],
+        }
+    }
+
+    /// An empty series of this kind.
+    pub(crate) fn series(self) -> Series {
+        Series::new(match self {
+            Self::Parameter => &[Combine::Last, Combine::Last, Combine::Largest],
+            Self::Noise => &[Combine::Last, Combine::Last],
+            Self::Innovation => &[Combine::Least, Combine::Largest],
+            Self::Consistency | Self::Class => &[Combine::Last],
+            Self::Outlier => &[Combine::Largest, Combine::Sum],
+            Self::Node => &[Combine::Largest, Combine::Last],
+        })
+    }
+}
+
+/// The name of one series, in requests `parameter/storey-2`.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct SeriesName {
+    pub(crate) kind: Kind,
+    /// The parameter, noise level, channel, class or node.
+    pub(crate) of: String,
+}
+
+impl SeriesName {
+    pub(crate) fn new(kind: Kind, of: impl Into<String>) -> Self {
+        Self { kind, of: of.into() }
+    }
+
+    /// Reads a name; none if it is no kind, a slash and something.
+    pub(crate) fn parse(text: &str) -> Option<Self> {
+        let (kind, of) = text.split_once('/')?;
+        let kind = Kind::ALL.into_iter().find(|known| known.as_str() == kind)?;
+        (!of.is_empty()).then(|| Self::new(kind, of))
+    }
+}
+
+impl fmt::Display for SeriesName {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}/{}", self.kind.as_str(), self.of)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_as_they_are_written() {
+        for kind in Kind::ALL {
+            let name = SeriesName::new(kind, "storey-2");
+            assert_eq!(SeriesName::parse(&name.to_string()), Some(name));
+        }
+        for wrong in ["", "parameter", "parameter/", "stiffness/storey-2"] {
+            assert_eq!(SeriesName::parse(wrong), None, "{wrong:?}");
+        }
+    }
+}

@@ -1,0 +1,342 @@
+//! The HTTP interface and the WebSocket, over a real Zenoh session and a real socket.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+use futures_util::StreamExt;
+use serde_json::{Value, json};
+use spandrel_bus::{
+    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, DisplayPublisher, Keys, LatestPublisher, Name,
+    ParameterDisplay,
+};
+use spandrel_dashboard::{DashboardError, DashboardService, Listen};
+use spandrel_structure::Structure;
+use std::net::SocketAddr;
+use std::path::Path;
+use std::time::Duration;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
+
+/// Only ends a hang.
+const DEADLINE: Duration = Duration::from_secs(60);
+
+fn name(text: &str) -> Name {
+    Name::new(text).unwrap()
+}
+
+/// A dashboard of the demo, and the bus behind it.
+struct Site {
+    bus: Bus,
+    keys: Keys,
+    client: Client,
+    parameter: DisplayPublisher<ParameterDisplay>,
+    alert: LatestPublisher<AlertMessage>,
+    stop: oneshot::Sender<()>,
+    running: JoinHandle<Result<(), DashboardError>>,
+}
+
+/// Who asks a dashboard.
+struct Client {
+    address: SocketAddr,
+}
+
+impl std::ops::Deref for Site {
+    type Target = Client;
+
+    fn deref(&self) -> &Client {
+        &self.client
+    }
+}
+
+struct Answer {
+    status: u16,
+    head: String,
+    body: String,
+}
+
+impl Answer {
+    fn json(&self) -> Value {
+        serde_json::from_str(&self.body).unwrap_or_else(|error| panic!("{error}: {}", self.body))
+    }
+
+    #[track_caller]
+    fn expect_refused(&self, status: u16, told: &str) {
+        assert_eq!(self.status, status, "{}", self.body);
+        let body = self.json();
+        assert!(body["error"].as_str().unwrap().contains(told), "expected {told:?}, found {body}");
+        assert!(!body["allowed"].as_str().unwrap().is_empty());
+    }
+}
+
+impl Site {
+    async fn start() -> Self {
+        let root =
+            format!("dashboard-{}", TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap().port());
+        let config = BusConfig { root, listen: vec!["tcp/127.0.0.1:0".into()], ..BusConfig::default() };
+        let bus = Bus::open(&config).await.unwrap();
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
+        let structure = Structure::read(&path).unwrap();
+        let keys = config.keys(structure.name()).unwrap();
+        let parameter = bus.publish_display(keys.parameter(&name("storey-2"))).await.unwrap();
+        let alert = bus.publish_latest(keys.alert(&name("storey-2"))).await.unwrap();
+        let listen = Listen::At("127.0.0.1:0".into());
+        let service =
+            DashboardService::start(&[(&structure, keys.clone())], &bus, &listen, name("dashboard")).await.unwrap();
+        let address = service.address();
+        let (stop, stopped) = oneshot::channel::<()>();
+        let running = tokio::spawn(service.run(async {
+            let _ = stopped.await;
+        }));
+        Self { bus, keys, client: Client { address }, parameter, alert, stop, running }
+    }
+
+    async fn put(&self, time_s: i64, mean: f64) {
+        let names = (&name("demo"), &name("storey-2"));
+        let display = ParameterDisplay::of_gaussian(names, time_s * 1_000_000_000, (mean, 1e-4), (0.05, 1.0));
+        self.parameter.put(&display).await.unwrap();
+    }
+
+    async fn raise(&self, state: AlertState) {
+        let alert = AlertMessage {
+            structure: name("demo"),
+            parameter: name("storey-2"),
+            time_ns: 5_000_000_000,
+            state,
+            since_ns: None,
+            rule_loss: 0.05,
+            rule_credibility: 0.99,
+            credibility: 1.0,
+            loss: Some(0.15),
+            loss_interval: None,
+            mean: 0.85,
+            std: 0.01,
+            reference: Some(1.0),
+            reference_std: Some(0.0),
+            acknowledged_by: None,
+            why: "storey-2 <b>has lost</b> 15 %".into(),
+        };
+        self.alert.put(&alert).await.unwrap();
+    }
+
+    async fn end(self) {
+        self.stop.send(()).unwrap();
+        tokio::time::timeout(DEADLINE, self.running).await.expect("ends in time").unwrap().unwrap();
+        self.bus.close().await.unwrap();
+    }
+}
+
+impl Client {
+    async fn request(&self, method: &str, path: &str, headers: &str, body: &str) -> Answer {
+        let exchange = async {
+            let mut socket = TcpStream::connect(self.address).await.unwrap();
+            let host = self.address;
+            let length = body.len();
+            let request = format!(
+                "{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{body}"
+            );
+            socket.write_all(request.as_bytes()).await.unwrap();
+            let mut text = String::new();
+            socket.read_to_string(&mut text).await.unwrap();
+            text
+        };
+        let text = tokio::time::timeout(DEADLINE, exchange).await.expect("an answer in time");
+        let (head, body) = text.split_once("\r\n\r\n").expect("a head and a body");
+        let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+        Answer { status, head: head.to_lowercase(), body: body.to_owned() }
+    }
+
+    async fn get(&self, path: &str) -> Answer {
+        self.request("GET", path, "", "").await
+    }
+
+    async fn acknowledge(&self, parameter: &str, headers: &str, body: &str) -> Answer {
+        let path = format!("/api/structures/demo/alerts/{parameter}/acknowledge");
+        self.request("POST", &path, &format!("Content-Type: application/json\r\n{headers}"), body).await
+    }
+
+    /// Asks for the structures until one is as it must become.
+    async fn wait(&self, what: &str, is_there: impl Fn(&Value) -> bool) -> Value {
+        let waited = async {
+            loop {
+                let found = self.get("/api/structures").await.json()["structures"][0].take();
+                if is_there(&found) {
+                    return found;
+                }
+                tokio::task::yield_now().await;
+            }
+        };
+        tokio::time::timeout(DEADLINE, waited).await.unwrap_or_else(|_| panic!("waited in vain: {what}"))
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_put_on_the_bus_is_seen_in_the_overview_and_in_the_structure() {
+    let site = Site::start().await;
+    assert_eq!(site.get("/api/structures").await.json()["structures"][0]["level"], "learning");
+    site.put(5, 0.85).await;
+    site.raise(AlertState::Raised).await;
+    let seen = site.wait("an alarm", |found| found["level"] == "alarm" && !found["worst"].is_null()).await;
+    assert_eq!(seen["worst"]["parameter"], "storey-2");
+    assert_eq!(seen["sentence"], "storey-2 <b>has lost</b> 15 %");
+    let whole = site.get("/api/structures/demo").await.json();
+    assert_eq!(whole["about"]["drawing"]["members"].as_array().unwrap().len(), 5);
+    assert_eq!(whole["standing"]["parameters"]["storey-2"]["mean"], 0.85);
+    assert_eq!(whole["standing"]["series"], json!(["parameter/storey-2"]));
+    let alerts = site.get("/api/alerts?state=raised").await.json();
+    assert_eq!(alerts["standing"][0]["parameter"], "storey-2");
+    assert!(site.get("/api/alerts?state=cleared").await.json()["standing"].as_array().unwrap().is_empty());
+    site.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dashboard_that_starts_late_asks_how_the_alerts_stand() {
+    let site = Site::start().await;
+    site.raise(AlertState::Raised).await;
+    site.wait("an alarm", |found| found["raised"] == 1).await;
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
+    let structure = Structure::read(&path).unwrap();
+    let listen = Listen::At("127.0.0.1:0".into());
+    let structures = [(&structure, site.keys.clone())];
+    let late = DashboardService::start(&structures, &site.bus, &listen, name("late")).await.unwrap();
+    let client = Client { address: late.address() };
+    let (stop, stopped) = oneshot::channel::<()>();
+    let running = tokio::spawn(late.run(async {
+        let _ = stopped.await;
+    }));
+    client.wait("the alarm that was there before", |found| found["raised"] == 1).await;
+    stop.send(()).unwrap();
+    running.await.unwrap().unwrap();
+    site.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn history_comes_as_json_and_as_csv() {
+    let site = Site::start().await;
+    for second in 1..=10 {
+        site.put(second, 1.0 - 0.01 * second as f64).await;
+    }
+    site.wait("all points", |found| found["time_s"] == 10.0).await;
+    let path = "/api/structures/demo/history?series=parameter/storey-2&from=3&to=5";
+    let span = site.get(path).await.json();
+    assert_eq!(span["series"][0]["data"][0], json!([3.0, 4.0, 5.0]));
+    assert_eq!(span["kept_from_s"], 1.0);
+    let csv = site.get(&format!("{path}&format=csv")).await;
+    assert!(csv.head.contains("content-type: text/csv") && csv.head.contains("filename=\"demo.csv\""), "{}", csv.head);
+    let lines: Vec<&str> = csv.body.lines().collect();
+    assert_eq!((lines.len(), &lines[1][..26]), (4, "1970-01-01T00:00:03Z,0.97,"));
+    site.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_acknowledgement_goes_to_the_bus_with_name_and_note() {
+    let site = Site::start().await;
+    let heard = site.bus.subscribe::<Acknowledgement>(site.keys.all_acknowledgements(), 8).await.unwrap();
+    site.acknowledge("storey-2", "", r#"{"who":"Ada"}"#)
+        .await
+        .expect_refused(409, "the alert of storey-2 is not known");
+    site.raise(AlertState::Raised).await;
+    site.wait("an alarm", |found| found["raised"] == 1).await;
+    let sent = site.acknowledge("storey-2", "", r#"{"who":" Ada ","note":"on my way"}"#).await;
+    assert_eq!((sent.status, sent.json()), (202, json!({"sent": true})));
+    let (key, found) = tokio::time::timeout(DEADLINE, heard.messages().recv_async()).await.unwrap().unwrap();
+    assert_eq!(key, site.keys.acknowledge(&name("storey-2")));
+    assert_eq!((found.who.as_str(), found.note.as_str()), ("Ada", "on my way"));
+    site.raise(AlertState::Acknowledged).await;
+    site.wait("no alarm", |found| found["raised"] == 0).await;
+    site.acknowledge("storey-2", "", r#"{"who":"Ada"}"#).await.expect_refused(409, "is acknowledged");
+    assert!(heard.messages().is_empty(), "what is refused is not sent");
+    site.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn mistakes_are_answered_with_what_is_wrong_and_what_is_allowed() {
+    let site = Site::start().await;
+    site.raise(AlertState::Raised).await;
+    site.wait("an alarm", |found| found["raised"] == 1).await;
+    site.get("/api/structures/tower").await.expect_refused(404, "structure `tower` is not known");
+    site.get("/api/nothing").await.expect_refused(404, "nothing is at /api/nothing");
+    site.request("POST", "/api/structures", "", "").await.expect_refused(405, "does not take POST");
+    let history = "/api/structures/demo/history";
+    site.get(&format!("{history}?points=none")).await.expect_refused(400, "points");
+    site.get(&format!("{history}?until=5")).await.expect_refused(400, "until");
+    site.get(&format!("{history}?series=parameter/roof")).await.expect_refused(400, "parameter/roof");
+    site.get("/api/alerts?state=angry").await.expect_refused(400, "angry");
+    site.get("/api/live?structure=tower").await.expect_refused(404, "tower");
+    site.get("/api/live").await.expect_refused(400, "");
+    site.acknowledge("roof", "", r#"{"who":"Ada"}"#).await.expect_refused(404, "parameter `roof`");
+    site.acknowledge("storey-2", "", r#"{"who":"  "}"#).await.expect_refused(400, "who is empty");
+    site.acknowledge("storey-2", "", r#"{"note":"x"}"#).await.expect_refused(422, "who");
+    site.acknowledge("storey-2", "", "{").await.expect_refused(400, "");
+    let long = format!(r#"{{"who":"{}"}}"#, "a".repeat(101));
+    site.acknowledge("storey-2", "", &long).await.expect_refused(400, "who is too long");
+    let huge = format!(r#"{{"who":"Ada","note":"{}"}}"#, "a".repeat(20_000));
+    site.acknowledge("storey-2", "", &huge).await.expect_refused(413, "");
+    let other = "Origin: https://example.org\r\n";
+    site.acknowledge("storey-2", other, r#"{"who":"Ada"}"#).await.expect_refused(403, "another site");
+    let plain = "/api/structures/demo/alerts/storey-2/acknowledge";
+    site.request("POST", plain, "", r#"{"who":"Ada"}"#).await.expect_refused(415, "");
+    site.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_page_comes_with_a_policy_that_lets_it_load_its_own_files_only() {
+    let site = Site::start().await;
+    let page = site.get("/").await;
+    assert_eq!(page.status, 200);
+    assert!(page.body.contains("<title>Spandrel</title>"));
+    assert!(page.head.contains("content-security-policy: default-src 'none'; script-src 'self';"), "{}", page.head);
+    assert!(page.head.contains("x-content-type-options: nosniff"));
+    for (path, content) in
+        [("/app.js", "text/javascript"), ("/uplot.js", "text/javascript"), ("/style.css", "text/css")]
+    {
+        let file = site.get(path).await;
+        assert!(file.status == 200 && file.head.contains(content), "{path}: {}", file.head);
+    }
+    site.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_socket_tells_how_things_stand_and_then_each_new_point() {
+    let site = Site::start().await;
+    site.put(1, 1.0).await;
+    site.wait("the first point", |found| found["time_s"] == 1.0).await;
+    let address = format!("ws://{}/api/live?structure=demo", site.address);
+    let (mut socket, _) = tokio_tungstenite::connect_async(address).await.unwrap();
+    let mut next = async || -> Value {
+        let message = tokio::time::timeout(DEADLINE, socket.next()).await.unwrap().unwrap().unwrap();
+        serde_json::from_str(message.to_text().unwrap()).unwrap()
+    };
+    let overview = next().await;
+    assert_eq!((&overview["type"], &overview["structures"][0]["name"]), (&json!("overview"), &json!("demo")));
+    let standing = next().await;
+    assert_eq!(
+        (&standing["type"], &standing["standing"]["parameters"]["storey-2"]["mean"]),
+        (&json!("structure"), &json!(1.0))
+    );
+    site.put(2, 0.9).await;
+    let points = loop {
+        let message = next().await;
+        if message["type"] == "points" {
+            break message;
+        }
+    };
+    // the point that was there before is for history
+    assert_eq!(points["series"]["parameter/storey-2"]["data"][0], json!([2.0]));
+    assert_eq!(points["series"]["parameter/storey-2"]["data"][1], json!([0.9]));
+    site.end().await;
+    // a stop of the dashboard ends the socket
+    let ended = async { while let Some(Ok(_)) = socket.next().await {} };
+    tokio::time::timeout(DEADLINE, ended).await.expect("the socket ends");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_address_that_was_asked_for_is_that_or_an_error() {
+    let taken = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let site = Site::start().await;
+    let failed = DashboardService::start(&[], &site.bus, &Listen::At(address.clone()), name("other")).await;
+    let told = failed.unwrap_err().to_string();
+    assert!(told.contains(&address), "{told}");
+    site.end().await;
+}

@@ -1,0 +1,32 @@
+//! `spandrel dashboard`: the web page of a running system.
+
+use super::run::serve_page;
+use super::watch::joining_by_default;
+use crate::cli::RunArguments;
+use crate::error::AppError;
+use crate::services::{Running, block_on, interrupted, read_structures};
+use crate::settings::Settings;
+use spandrel_bus::Bus;
+
+/// Serves the page until Ctrl-C or SIGTERM.
+///
+/// # Errors
+/// When the configuration or a structure is wrong, nobody answers on the bus, or the address is taken.
+pub fn run(arguments: &RunArguments) -> Result<(), AppError> {
+    let settings = Settings::load(&arguments.service.bus)?;
+    let watched = read_structures(&settings, &arguments.service.structures)?;
+    let listen = settings.dashboard.listen(&arguments.page).ok_or(AppError::NoPage)?;
+    let bus = joining_by_default(settings.bus);
+    block_on(async {
+        let bus = Bus::open(&bus).await?;
+        let mut running = Running::new();
+        serve_page(&mut running, &bus, &watched, &listen, &arguments.page).await?;
+        let failed = tokio::select! {
+            failed = running.failed() => failed,
+            () = interrupted() => Ok(()),
+        };
+        let stopped = running.stop().await;
+        bus.close().await?;
+        failed.and(stopped)
+    })
+}

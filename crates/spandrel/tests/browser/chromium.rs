@@ -1,0 +1,206 @@
+//! Drives a headless Chromium by its DevTools protocol.
+
+use base64::Engine;
+use futures_util::{SinkExt, StreamExt};
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
+
+/// Only ends a hang.
+const DEADLINE: Duration = Duration::from_secs(90);
+/// How often a condition in the page is looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Names of the program, the distribution's first.
+const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
+
+/// One page of a browser that ends with it.
+pub struct Browser {
+    process: Child,
+    socket: WebSocketStream<MaybeTlsStream<TcpStream>>,
+    calls: u64,
+    /// What the page complained about.
+    complaints: Vec<String>,
+    _profile: tempfile::TempDir,
+    screenshots: PathBuf,
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        // one that has ended already needs no more
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// Where Chromium is, if it is installed.
+pub fn installed() -> Option<PathBuf> {
+    let folders: Vec<PathBuf> = std::env::split_paths(&std::env::var_os("PATH")?).collect();
+    NAMES.iter().flat_map(|name| folders.iter().map(move |folder| folder.join(name))).find(|path| path.is_file())
+}
+
+impl Browser {
+    /// Starts a browser with an empty profile.
+    pub async fn start(program: &Path, screenshots: PathBuf) -> Self {
+        let profile = tempfile::tempdir().unwrap();
+        let mut command = Command::new(program);
+        // root, as in a container, has no sandbox of its own to give
+        command.args(["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--remote-debugging-port=0"]);
+        command.arg(format!("--user-data-dir={}", profile.path().display())).arg("about:blank");
+        let mut process = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let (told, address) = std::sync::mpsc::channel();
+        let lines = BufReader::new(process.stderr.take().unwrap()).lines();
+        // reads on to the end, so that the browser never waits for its log
+        std::thread::spawn(move || {
+            for line in lines.map_while(Result::ok) {
+                if let Some((_, rest)) = line.split_once("DevTools listening on ws://") {
+                    let _ = told.send(rest.split('/').next().unwrap_or_default().to_owned());
+                }
+            }
+        });
+        let address = address.recv_timeout(DEADLINE).expect("the address of the DevTools");
+        let targets: Value = serde_json::from_str(&get(&address, "/json").await).unwrap();
+        let page = targets.as_array().unwrap().iter().find(|target| target["type"] == "page").unwrap();
+        let page = page["webSocketDebuggerUrl"].as_str().unwrap();
+        let (socket, _) = tokio_tungstenite::connect_async(page).await.unwrap();
+        std::fs::create_dir_all(&screenshots).unwrap();
+        let mut browser = Self { process, socket, calls: 0, complaints: Vec::new(), _profile: profile, screenshots };
+        for domain in ["Page.enable", "Runtime.enable", "Log.enable"] {
+            browser.call(domain, json!({})).await;
+        }
+        browser
+    }
+
+    /// Calls the protocol and returns the result.
+    pub async fn call(&mut self, method: &str, parameters: Value) -> Value {
+        self.calls += 1;
+        let id = self.calls;
+        let text = json!({"id": id, "method": method, "params": parameters}).to_string();
+        self.socket.send(text.into()).await.unwrap();
+        loop {
+            let message = tokio::time::timeout(DEADLINE, self.socket.next()).await;
+            let message =
+                message.unwrap_or_else(|_| panic!("{method}: no answer")).expect("the browser is there").unwrap();
+            let Ok(text) = message.to_text() else { continue };
+            let mut message: Value = serde_json::from_str(text).unwrap();
+            if message["id"] == id {
+                assert!(message["error"].is_null(), "{method}: {}", message["error"]);
+                return message["result"].take();
+            }
+            self.listen(&message);
+        }
+    }
+
+    fn listen(&mut self, message: &Value) {
+        let parameters = &message["params"];
+        let complaint = match message["method"].as_str() {
+            Some("Runtime.exceptionThrown") => parameters["exceptionDetails"].to_string(),
+            Some("Log.entryAdded") if parameters["entry"]["level"] == "error" => {
+                parameters["entry"]["text"].to_string()
+            }
+            _ => return,
+        };
+        self.complaints.push(complaint);
+    }
+
+    /// What the page complained about so far; forgotten then.
+    pub fn complaints(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.complaints)
+    }
+
+    /// Goes to an address.
+    pub async fn open(&mut self, address: &str) {
+        self.call("Page.navigate", json!({"url": address})).await;
+    }
+
+    /// Evaluates an expression in the page.
+    pub async fn evaluate(&mut self, expression: &str) -> Value {
+        let parameters = json!({"expression": expression, "returnByValue": true, "awaitPromise": true});
+        let mut answer = self.call("Runtime.evaluate", parameters).await;
+        assert!(answer["exceptionDetails"].is_null(), "{expression}: {}", answer["exceptionDetails"]);
+        answer["result"]["value"].take()
+    }
+
+    /// Waits until an expression is true in the page.
+    pub async fn wait(&mut self, what: &str, expression: &str) {
+        let end = tokio::time::Instant::now() + DEADLINE;
+        // while a page is being left there is nothing to evaluate in
+        let guarded = format!("(() => {{ try {{ return Boolean({expression}) }} catch {{ return false }} }})()");
+        while self.evaluate(&guarded).await != true {
+            if tokio::time::Instant::now() >= end {
+                self.screenshot("failed").await;
+                let text = self.evaluate("document.body.innerText").await;
+                panic!("waited in vain: {what}\n  {expression}\n  the page says: {text}\n  {:?}", self.complaints);
+            }
+            tokio::time::sleep(LOOK_EVERY).await;
+        }
+    }
+
+    /// Sets the size of the window (CSS pixels).
+    pub async fn resize(&mut self, width: u32, height: u32) {
+        let is_phone = width < 600;
+        let size = json!({"width": width, "height": height, "deviceScaleFactor": if is_phone { 2 } else { 1 }, "mobile": is_phone});
+        self.call("Emulation.setDeviceMetricsOverride", size).await;
+    }
+
+    /// Prefers `light` or `dark`.
+    pub async fn prefer(&mut self, scheme: &str) {
+        let features = json!({"features": [{"name": "prefers-color-scheme", "value": scheme}]});
+        self.call("Emulation.setEmulatedMedia", features).await;
+    }
+
+    /// Types a text where the keyboard is.
+    pub async fn write(&mut self, text: &str) {
+        self.call("Input.insertText", json!({"text": text})).await;
+    }
+
+    /// Presses a key.
+    pub async fn press(&mut self, key: &str) {
+        let (code, text) = match key {
+            "Tab" => (9, ""),
+            "Enter" => (13, "\r"),
+            other => panic!("no such key: {other}"),
+        };
+        for kind in ["keyDown", "keyUp"] {
+            let mut event = json!({"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code});
+            if kind == "keyDown" && !text.is_empty() {
+                event["text"] = json!(text);
+            }
+            self.call("Input.dispatchKeyEvent", event).await;
+        }
+    }
+
+    /// Keeps what is seen as a file.
+    pub async fn screenshot(&mut self, name: &str) {
+        let shot = self.call("Page.captureScreenshot", json!({"format": "png"})).await;
+        let bytes = base64::prelude::BASE64_STANDARD.decode(shot["data"].as_str().unwrap()).unwrap();
+        std::fs::write(self.screenshots.join(format!("{name}.png")), bytes).unwrap();
+    }
+}
+
+/// The body of an answer to a plain request.
+async fn get(address: &str, path: &str) -> String {
+    let mut socket = TcpStream::connect(address).await.unwrap();
+    let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+    socket.write_all(request.as_bytes()).await.unwrap();
+    let mut bytes = Vec::new();
+    // the DevTools keep the connection open: the length tells the end
+    loop {
+        let text = String::from_utf8_lossy(&bytes).into_owned();
+        if let Some((head, body)) = text.split_once("\r\n\r\n") {
+            let length = head.lines().find_map(|line| {
+                let (name, value) = line.split_once(':')?;
+                name.eq_ignore_ascii_case("content-length").then(|| value.trim().parse::<usize>().unwrap())
+            });
+            if body.len() >= length.expect("a length") {
+                return body.to_owned();
+            }
+        }
+        let read = socket.read_buf(&mut bytes).await.unwrap();
+        assert!(read > 0, "the DevTools have closed: {text}");
+    }
+}

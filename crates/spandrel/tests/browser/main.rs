@@ -1,0 +1,266 @@
+//! The page in a real browser: the damage of the demo is seen, the alert is acknowledged, a lost connection heals, and a
+//! phone can show it. What was seen is kept in `target/screenshots`.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "a test that fails panics"
+)]
+
+mod chromium;
+
+use chromium::Browser;
+use std::io::{BufRead, BufReader};
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+/// A program that ends with its test.
+struct Program {
+    child: Child,
+    page: String,
+}
+
+impl Program {
+    /// Starts a subcommand and reads where its page is.
+    fn start(arguments: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
+        let mut child = command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let line = lines.next().expect("a line that says where the page is").unwrap();
+        // reads on to the end, so that the program never waits for its reader
+        std::thread::spawn(move || lines.for_each(drop));
+        let page = line.strip_prefix("page: ").unwrap_or_else(|| panic!("no address of a page: {line}")).to_owned();
+        Self { child, page }
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // one that has ended already needs no more
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn free_address() -> String {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string()
+}
+
+/// The browser, or none with a word on why; a failure where everything is required.
+async fn browser() -> Option<Browser> {
+    let Some(program) = chromium::installed() else {
+        let required = std::env::var_os("SPANDREL_REQUIRE_ALL").is_some();
+        assert!(!required, "Chromium is not installed, and SPANDREL_REQUIRE_ALL is set: apt-get install chromium");
+        eprintln!("skipped: no Chromium is installed (apt-get install chromium)");
+        return None;
+    };
+    let screenshots: PathBuf = Path::new(env!("CARGO_TARGET_TMPDIR")).join("../screenshots");
+    Some(Browser::start(&program, screenshots).await)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_damage_is_seen_the_alert_is_acknowledged_and_a_lost_connection_heals() {
+    let Some(mut browser) = browser().await else { return };
+    let endpoint = format!("tcp/{}", free_address());
+    let demo = Program::start(&["demo", "--stay", "--speed", "10", "--http", "127.0.0.1:0", "--listen", &endpoint]);
+    browser.resize(1280, 900).await;
+    browser.prefer("light").await;
+
+    the_damage_appears(&mut browser, &demo.page).await;
+    the_structure_is_drawn_and_plotted(&mut browser).await;
+    a_phone_shows_it_without_scrolling_aside(&mut browser).await;
+    the_alert_is_acknowledged_by_keyboard(&mut browser).await;
+    assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
+    a_lost_connection_heals(&mut browser, &endpoint).await;
+}
+
+async fn the_damage_appears(browser: &mut Browser, page: &str) {
+    browser.open(page).await;
+    let card = "document.querySelector('.structure-card[data-name=demo]')";
+    browser.wait("an alarm of the demo", &format!("{card}.dataset.level === 'alarm'")).await;
+    let sentence = browser.evaluate(&format!("{card}.querySelector('.sentence').textContent")).await;
+    assert!(sentence.as_str().unwrap().starts_with("storey-2 has lost "), "{sentence}");
+    let worst = browser.evaluate(&format!("{card}.querySelector('.fact-worst dd').textContent")).await;
+    assert!(worst.as_str().unwrap().starts_with("storey-2: 0."), "{worst}");
+    assert_eq!(browser.evaluate("document.title").await, "▲ 1 – Spandrel");
+    browser.screenshot("overview-light").await;
+    browser.prefer("dark").await;
+    browser.screenshot("overview-dark").await;
+    browser.prefer("light").await;
+}
+
+async fn the_structure_is_drawn_and_plotted(browser: &mut Browser) {
+    browser.evaluate("document.querySelector('.structure-card a').click()").await;
+    browser
+        .wait(
+            "storey 2 in the colour of a certain loss",
+            "document.querySelector('.drawing [data-part=storey-2]').dataset.step === '4'",
+        )
+        .await;
+    let sound = browser.evaluate("document.querySelectorAll('.drawing .part[data-step=\"0\"]').length").await;
+    assert_eq!(sound, 4, "the other storeys are sound");
+    assert_eq!(browser.evaluate("document.querySelectorAll('.drawing .sensor').length").await, 6);
+    browser.wait("the plot of storey 2", "document.querySelector('#plot-worst canvas').width > 100").await;
+    let readout = "document.querySelector('#plot-worst .readout').textContent";
+    browser.wait("its reading", &format!("/ UTC .*95 %: 0\\.8/.test({readout})")).await;
+    browser.screenshot("structure-light").await;
+    browser.prefer("dark").await;
+    browser.wait("the plot in other colours", "document.querySelector('#plot-worst canvas')").await;
+    browser.screenshot("structure-dark").await;
+    browser.prefer("light").await;
+    // innovations and noise levels have plots, and lie below
+    browser.evaluate("document.querySelector('#group-innovations').scrollIntoView()").await;
+    browser.wait("innovations", "document.querySelectorAll('#group-innovations canvas').length > 0").await;
+    browser.wait("the plots below", "document.querySelector('#plot-noise-floors')").await;
+    browser.screenshot("structure-plots").await;
+    // another span is asked for and kept
+    browser
+        .evaluate("[...document.querySelectorAll('.ranges button')].find((b) => b.textContent === '1 min').click()")
+        .await;
+    browser.wait("one minute", "document.querySelector('.ranges [aria-pressed=true]').textContent === '1 min'").await;
+    let csv = "(async () => { const a = document.querySelector('#plot-parameter-storey-2 .files a'); a.addEventListener('click', (e) => e.preventDefault()); a.click(); return (await (await fetch(a.href)).text()).split('\\n'); })()";
+    let lines = browser.evaluate(csv).await;
+    assert!(lines[0].as_str().unwrap().starts_with("time,parameter/storey-2.mean,"), "{}", lines[0]);
+    assert!(lines.as_array().unwrap().len() > 100, "the points that are shown: {}", lines.as_array().unwrap().len());
+}
+
+async fn a_phone_shows_it_without_scrolling_aside(browser: &mut Browser) {
+    browser.resize(390, 844).await;
+    for (address, name) in
+        [("#/", "phone-overview"), ("#/structure/demo", "phone-structure"), ("#/alerts", "phone-alerts")]
+    {
+        browser.evaluate(&format!("location.hash = '{address}'")).await;
+        browser.wait("its content", "document.querySelector('main .card, main .attention .sentence')").await;
+        browser.screenshot(name).await;
+        let width = browser.evaluate("document.documentElement.scrollWidth").await;
+        assert_eq!(width, 390, "{address} is wider than the phone");
+    }
+    browser.resize(1280, 900).await;
+}
+
+async fn the_alert_is_acknowledged_by_keyboard(browser: &mut Browser) {
+    browser.evaluate("location.hash = '#/alerts'").await;
+    browser.wait("the alert", "document.querySelector('.alert[data-state=raised] .acknowledge')").await;
+    browser.screenshot("alerts-light").await;
+    browser.evaluate("document.querySelector('.alert[data-state=raised] .acknowledge').focus()").await;
+    browser.press("Enter").await;
+    browser.wait("the dialog", "document.querySelector('dialog').open && document.activeElement.id === 'who'").await;
+    browser.write("Ada <b>Lovelace</b>").await;
+    browser.press("Tab").await;
+    browser.write("on my way").await;
+    browser.screenshot("acknowledge").await;
+    browser.press("Tab").await;
+    browser.press("Enter").await;
+    browser
+        .wait(
+            "the answer of the alert service",
+            "document.querySelector('.alerts:not(.past) .alert[data-state=acknowledged]')",
+        )
+        .await;
+    let seen = browser
+        .evaluate("document.querySelector('.alerts:not(.past) .alert[data-state=acknowledged] .seen').textContent")
+        .await;
+    assert_eq!(seen, "Seen by Ada <b>Lovelace</b>: on my way", "names are text, not markup");
+    browser.wait("the closed dialog", "!document.querySelector('dialog').open").await;
+    browser.wait("no alert is counted any more", "document.getElementById('alert-count').hidden").await;
+    browser.screenshot("alerts-acknowledged").await;
+    // the link leads to the moment
+    browser.evaluate("document.querySelector('.alert[data-state=acknowledged] .actions a').click()").await;
+    browser
+        .wait(
+            "the moment",
+            "!document.querySelector('.ranges .back').hidden && document.querySelector('.plot.is-chosen canvas')",
+        )
+        .await;
+    browser.screenshot("moment").await;
+}
+
+async fn a_lost_connection_heals(browser: &mut Browser, endpoint: &str) {
+    let structure = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
+    let http = free_address();
+    let arguments = ["dashboard", structure.to_str().unwrap(), "--connect", endpoint, "--http", &http];
+    let first = Program::start(&arguments);
+    browser.open(&first.page).await;
+    browser.wait("a page that is connected", "document.getElementById('link').dataset.state === 'open'").await;
+    browser.wait("the alert, asked for from the alert service", "document.querySelector('.structure-card')").await;
+    drop(first);
+    browser.wait("the word that it is lost", "!document.getElementById('lost').hidden").await;
+    let told = browser.evaluate("document.getElementById('lost').textContent").await;
+    assert!(told.as_str().unwrap().contains("No connection to Spandrel"), "{told}");
+    browser.screenshot("lost").await;
+    let _second = Program::start(&arguments);
+    browser
+        .wait(
+            "a page that is connected again",
+            "document.getElementById('lost').hidden && document.getElementById('link').dataset.state === 'open'",
+        )
+        .await;
+    browser.wait("its content", "document.querySelector('.structure-card[data-name=demo]')").await;
+    browser.screenshot("healed").await;
+}
+
+/// What the page costs at one moment.
+#[derive(Debug, Clone, Copy)]
+struct Cost {
+    /// Memory of its scripts once what is unused was given back (MB).
+    heap_mb: f64,
+    /// Elements of the document.
+    nodes: f64,
+    /// Processor time of its main thread since the start (s).
+    worked_s: f64,
+}
+
+async fn cost(browser: &mut Browser) -> Cost {
+    browser.call("HeapProfiler.collectGarbage", serde_json::json!({})).await;
+    let metrics = browser.call("Performance.getMetrics", serde_json::json!({})).await;
+    let metric = |name: &str| {
+        let metrics = metrics["metrics"].as_array().unwrap();
+        metrics.iter().find(|metric| metric["name"] == name).unwrap()["value"].as_f64().unwrap()
+    };
+    Cost { heap_mb: metric("JSHeapUsedSize") / 1e6, nodes: metric("Nodes"), worked_s: metric("ThreadTime") }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "takes 20 minutes"]
+async fn the_page_costs_no_more_after_twenty_minutes_at_24_times_the_display_rate() {
+    const MINUTES: usize = 20;
+    // until then the span of ten minutes fills, and with it the plots
+    const SETTLED: usize = 4;
+    let Some(mut browser) = browser().await else { return };
+    let endpoint = format!("tcp/{}", free_address());
+    let arguments = ["demo", "--speed", "24", "--duration", "32000", "--http", "127.0.0.1:0", "--listen", &endpoint];
+    let demo = Program::start(&arguments);
+    browser.resize(1280, 900).await;
+    browser.call("Performance.enable", serde_json::json!({})).await;
+    browser.open(&format!("{}#/structure/demo", demo.page)).await;
+    browser.wait("the first plot", "document.querySelector('#plot-parameter-storey-1 canvas')").await;
+    browser.evaluate("document.querySelector('.ranges').scrollIntoView()").await;
+    let mut costs = vec![cost(&mut browser).await];
+    for minute in 1..=MINUTES {
+        // this measures time, and waits for nothing else
+        tokio::time::sleep(std::time::Duration::from_secs(60)).await;
+        costs.push(cost(&mut browser).await);
+        let (before, now) = (costs[minute - 1], costs[minute]);
+        let share = 100.0 * (now.worked_s - before.worked_s) / 60.0;
+        eprintln!("{minute:2} min  heap {:6.2} MB  nodes {:5.0}  main thread {share:4.1} %", now.heap_mb, now.nodes);
+    }
+    let mean = |range: std::ops::Range<usize>, of: fn(&Cost) -> f64| {
+        costs[range.clone()].iter().map(of).sum::<f64>() / range.len() as f64
+    };
+    let (early, late) = (SETTLED..SETTLED + 4, MINUTES - 3..MINUTES + 1);
+    let [heap_early, heap_late] = [early.clone(), late.clone()].map(|range| mean(range, |cost| cost.heap_mb));
+    // a leak of one point of each series per message would be some 100 MB
+    assert!(heap_late < heap_early + 3.0, "heap from {heap_early:.1} to {heap_late:.1} MB");
+    let nodes = (costs[SETTLED].nodes, costs[MINUTES].nodes);
+    assert!(nodes.1 < 1.2 * nodes.0, "elements from {} to {}", nodes.0, nodes.1);
+    let worked = |range: std::ops::Range<usize>| costs[range.end - 1].worked_s - costs[range.start].worked_s;
+    let (work_early, work_late) = (worked(early), worked(late));
+    assert!(
+        work_late < 1.5 * work_early,
+        "work of the main thread from {work_early:.1} to {work_late:.1} s in 3 minutes"
+    );
+    assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
+}

@@ -1,0 +1,259 @@
+//! A drawing of a structure for people: points, members with the parameters that scale them, and sensors at their places.
+
+use crate::node::{Channel, Quantity};
+use crate::parameter::Scales;
+use crate::skeleton::{Skeleton, Up};
+use crate::structure::Structure;
+use nalgebra::Vector3;
+use serde::Serialize;
+
+/// Cosine and sine of the 30° under which the horizontal axes of a model in space are seen.
+const OBLIQUE: (f64, f64) = (0.866_025_403_784_438_6, 0.5);
+
+/// What kind of drawing it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DrawingForm {
+    /// Floors above each other: point 0 is the ground, point *n* floor *n*; heights count storeys.
+    Storeys,
+    /// Straight members between points, in metres; a model in space is seen obliquely from above.
+    Members,
+    /// Substructures without geometry, side by side.
+    Boxes,
+}
+
+/// A structure as it can be drawn in a plane.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Drawing {
+    /// The kind.
+    pub form: DrawingForm,
+    /// Where members meet.
+    pub points: Vec<DrawnPoint>,
+    /// The parts whose stiffness may be identified.
+    pub members: Vec<DrawnMember>,
+    /// The channels, in frame order.
+    pub sensors: Vec<DrawnSensor>,
+}
+
+/// A point of a drawing.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DrawnPoint {
+    /// Its name in the structure file.
+    pub name: String,
+    /// To the right; in metres, storeys or boxes as the form says.
+    pub x: f64,
+    /// Upwards, in the same unit.
+    pub y: f64,
+    /// Whether the ground holds it.
+    pub held: bool,
+}
+
+/// A member of a drawing.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DrawnMember {
+    /// Its substructures; several where one member has a stiffness for each way of bending.
+    pub parts: Vec<String>,
+    /// The points that it joins (from 0); the same one twice for a box.
+    pub ends: [usize; 2],
+    /// The parameters that scale its stiffness; none where it is taken as known.
+    pub parameters: Vec<String>,
+}
+
+/// A channel of a drawing.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DrawnSensor {
+    /// The sensor node.
+    pub node: String,
+    /// The channel.
+    pub channel: String,
+    /// What is measured.
+    pub quantity: Quantity,
+    /// Its SI unit.
+    pub unit: &'static str,
+    /// Whether it measures an excitation.
+    pub excitation: bool,
+    /// The point (from 0) at which it sits; none where the structure file does not tell.
+    pub point: Option<usize>,
+}
+
+impl Structure {
+    /// Returns how the structure can be drawn: storeys for chains of floors, members for what has coordinates, boxes for
+    /// matrices.
+    #[must_use]
+    pub fn drawing(&self) -> Drawing {
+        let (form, points, members) = match &self.system.skeleton {
+            Some(skeleton) => self.drawn_members(skeleton),
+            None if !self.system.storeys.is_empty() => self.drawn_storeys(),
+            None => self.drawn_boxes(),
+        };
+        let sensors = self.nodes.iter().flat_map(|node| {
+            node.channels().iter().map(|channel| DrawnSensor {
+                node: node.name().to_owned(),
+                channel: channel.name().to_owned(),
+                quantity: channel.quantity(),
+                unit: channel.quantity().unit(),
+                excitation: channel.quantity().is_excitation(),
+                point: self.place(channel, form, &points),
+            })
+        });
+        let sensors = sensors.collect();
+        Drawing { form, points, members, sensors }
+    }
+
+    fn drawn_storeys(&self) -> (DrawingForm, Vec<DrawnPoint>, Vec<DrawnMember>) {
+        let floors = std::iter::once("ground").chain(self.system.degrees_of_freedom.iter().map(String::as_str));
+        let point = |(level, name): (usize, &str)| DrawnPoint {
+            name: name.to_owned(),
+            x: 0.0,
+            y: level as f64,
+            held: level == 0,
+        };
+        let groups = self.system.storeys.iter().enumerate();
+        let members = groups
+            .flat_map(|(part, group)| group.storeys.clone().map(move |storey| (part, storey)))
+            .map(|(part, storey)| self.drawn_member(part..part + 1, [storey, storey + 1]))
+            .collect();
+        (DrawingForm::Storeys, floors.enumerate().map(point).collect(), members)
+    }
+
+    fn drawn_members(&self, skeleton: &Skeleton) -> (DrawingForm, Vec<DrawnPoint>, Vec<DrawnMember>) {
+        let points = skeleton.points.iter().zip(&skeleton.is_held).map(|((name, at), held)| {
+            let (x, y) = seen(at, skeleton.up);
+            DrawnPoint { name: name.clone(), x, y, held: *held }
+        });
+        let members = skeleton.lines.iter().map(|line| self.drawn_member(line.parts.clone(), line.ends));
+        (DrawingForm::Members, points.collect(), members.collect())
+    }
+
+    fn drawn_boxes(&self) -> (DrawingForm, Vec<DrawnPoint>, Vec<DrawnMember>) {
+        let parts = || self.system.substructures.iter().enumerate();
+        let points =
+            parts().map(|(index, part)| DrawnPoint { name: part.name.clone(), x: index as f64, y: 0.0, held: false });
+        let members = parts().map(|(index, _)| self.drawn_member(index..index + 1, [index, index]));
+        (DrawingForm::Boxes, points.collect(), members.collect())
+    }
+
+    fn drawn_member(&self, parts: std::ops::Range<usize>, ends: [usize; 2]) -> DrawnMember {
+        let scaled = |scales: &Scales| match scales {
+            Scales::Stiffness(of) => of.iter().any(|part| parts.contains(part)),
+            Scales::Mass(_) | Scales::Dashpots(_) | Scales::Hysteresis(_) => false,
+            Scales::DampingAlpha | Scales::DampingBeta => false,
+        };
+        let parameters = self.parameters.iter().filter(|parameter| scaled(&parameter.scales));
+        let parameters = parameters.map(|parameter| parameter.name.clone()).collect();
+        let parts = self.system.substructures[parts].iter().map(|part| part.name.clone()).collect();
+        DrawnMember { parts, ends, parameters }
+    }
+
+    /// Returns the point of a channel.
+    fn place(&self, channel: &Channel, form: DrawingForm, points: &[DrawnPoint]) -> Option<usize> {
+        if channel.quantity() == Quantity::GroundAcceleration {
+            return points.iter().position(|point| point.held);
+        }
+        let dof = channel.sensed.first()?.0;
+        let name = self.system.degrees_of_freedom.get(dof)?;
+        match form {
+            DrawingForm::Storeys => points.iter().position(|point| point.name == *name),
+            DrawingForm::Members => {
+                let node = name.strip_prefix("node-")?.rsplit_once('-')?.0;
+                points.iter().position(|point| point.name == node)
+            }
+            DrawingForm::Boxes => {
+                let touches = |part: &crate::linear_system::Substructure| part.stiffness.row(dof).nnz() > 0;
+                self.system.substructures.iter().position(touches)
+            }
+        }
+    }
+}
+
+/// Returns where a point (m) is seen: to the right and upwards.
+fn seen(at: &Vector3<f64>, up: Up) -> (f64, f64) {
+    let (cos, sin) = OBLIQUE;
+    match up {
+        Up::Y => (at.x, at.y),
+        Up::Z => ((at.x - at.y) * cos, at.z + (at.x + at.y) * sin * sin),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    fn drawing(example: &str) -> Drawing {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples");
+        Structure::read(&folder.join(example)).unwrap().drawing()
+    }
+
+    #[test]
+    fn a_building_is_drawn_as_floors_with_its_sensors_on_them() {
+        let demo = drawing("demo.toml");
+        assert_eq!((demo.form, demo.points.len(), demo.members.len()), (DrawingForm::Storeys, 6, 5));
+        let second = &demo.members[1];
+        assert_eq!((second.ends, second.parameters.as_slice()), ([1, 2], ["storey-2".to_owned()].as_slice()));
+        let places: Vec<Option<usize>> = demo.sensors.iter().map(|sensor| sensor.point).collect();
+        assert_eq!(places, [0, 1, 2, 3, 4, 5].map(Some));
+        assert!(demo.sensors[0].excitation && !demo.sensors[1].excitation);
+    }
+
+    #[test]
+    fn a_bridge_is_drawn_with_its_coordinates_deck_and_piers() {
+        let bridge = drawing("three-pier-bridge.toml");
+        let foot = bridge.points.iter().find(|point| point.name == "21").unwrap();
+        assert_eq!((bridge.form, foot.x, foot.y, foot.held), (DrawingForm::Members, 128.0, -16.0, true));
+        let piers = bridge.members.iter().filter(|member| member.parameters == ["pier-middle"]);
+        assert_eq!(
+            piers.map(|member| member.ends.map(|end| bridge.points[end].name.clone())).collect::<Vec<_>>(),
+            [["9", "20"], ["20", "21"]]
+        );
+        assert!(bridge.sensors.iter().all(|sensor| sensor.point.is_some()));
+    }
+
+    #[test]
+    fn a_tower_stands_upright_and_each_beam_has_both_ways_of_bending() {
+        let tower = drawing("tower.toml");
+        assert!(tower.points.iter().all(|point| point.x == 0.0));
+        assert_eq!(tower.points.last().unwrap().y, 610.0);
+        assert_eq!(tower.members[0].parameters, ["along-x", "along-y"]);
+        assert_eq!(tower.points[tower.sensors[0].point.unwrap()].name, "4");
+    }
+
+    #[test]
+    fn a_dome_in_space_is_seen_from_aside() {
+        let dome = drawing("dome.toml");
+        let width = |of: fn(&DrawnPoint) -> f64| {
+            let all = || dome.points.iter().map(of);
+            all().fold(f64::MIN, f64::max) - all().fold(f64::MAX, f64::min)
+        };
+        assert!(width(|point| point.x) > 0.0 && width(|point| point.y) > 0.0);
+        // seen straight from above or from the front some points would hide each other
+        for (index, one) in dome.points.iter().enumerate() {
+            let hidden = dome.points[..index].iter().any(|other| (one.x - other.x).hypot(one.y - other.y) < 1e-6);
+            assert!(!hidden, "node {} is hidden", one.name);
+        }
+    }
+
+    #[test]
+    fn matrices_are_drawn_as_boxes() {
+        let mast = drawing("matrices.toml");
+        assert_eq!((mast.form, mast.points.len()), (DrawingForm::Boxes, 3));
+        assert_eq!(mast.members[1].parameters, ["upper"]);
+        let head = mast.sensors.iter().find(|sensor| sensor.channel == "head").unwrap();
+        assert_eq!(mast.points[head.point.unwrap()].name, "upper");
+    }
+
+    #[test]
+    fn every_example_can_be_drawn_with_all_its_stiffness_parameters() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples");
+        let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        for path in files.filter(|path| path.extension().is_some_and(|extension| extension == "toml")) {
+            let structure = Structure::read(&path).unwrap();
+            let drawing = structure.drawing();
+            for parameter in structure.parameters().iter().filter(|parameter| parameter.is_stiffness()) {
+                let name = parameter.name();
+                let drawn = drawing.members.iter().any(|member| member.parameters.iter().any(|other| other == name));
+                assert!(drawn, "{}: {name} is not drawn", path.display());
+            }
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! Where the parts of a model with geometry are: points, and the straight lines between them.
+
+use crate::mesh::Mesh;
+use crate::tower::{Segment, WAYS};
+use nalgebra::Vector3;
+use std::ops::Range;
+
+/// Points and lines of a model, in the coordinates of its file.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Skeleton {
+    /// Names as in the degrees of freedom `node-NAME-DIRECTION`, and places (m).
+    pub(crate) points: Vec<(String, Vector3<f64>)>,
+    /// Which points cannot move in some direction.
+    pub(crate) is_held: Vec<bool>,
+    pub(crate) lines: Vec<Line>,
+    /// Which way is up.
+    pub(crate) up: Up,
+}
+
+/// A straight part of the model.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Line {
+    /// The points that it joins (from 0).
+    pub(crate) ends: [usize; 2],
+    /// The substructures (from 0) that its stiffness belongs to.
+    pub(crate) parts: Range<usize>,
+}
+
+/// The upward direction of a model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Up {
+    /// `y`, of what lies in a plane.
+    Y,
+    /// `z`, of what stands in space.
+    Z,
+}
+
+impl Skeleton {
+    /// Returns that of a frame or truss, whose groups are its substructures.
+    pub(crate) fn of_mesh(mesh: &Mesh) -> Self {
+        let lines = mesh.groups.iter().enumerate().flat_map(|(part, group)| {
+            group.members.iter().map(move |ends| Line { ends: *ends, parts: part..part + 1 })
+        });
+        Self {
+            points: mesh.nodes.iter().map(|node| (node.name.clone(), node.at)).collect(),
+            is_held: mesh.nodes.iter().map(|node| node.fixed.contains(&true)).collect(),
+            lines: lines.collect(),
+            up: if mesh.directions.contains(&"z") { Up::Z } else { Up::Y },
+        }
+    }
+
+    /// Returns that of a tower, each of whose segments has one substructure for each way of bending.
+    pub(crate) fn of_tower(segments: &[Segment]) -> Self {
+        let mut points = vec![("0".to_owned(), Vector3::zeros())];
+        let mut lines = Vec::new();
+        let mut foot_m = 0.0;
+        for (index, segment) in segments.iter().enumerate() {
+            for beam in 1..=segment.elements {
+                let height = foot_m + segment.height_m * beam as f64 / segment.elements as f64;
+                lines.push(Line {
+                    ends: [points.len() - 1, points.len()],
+                    parts: index * WAYS.len()..(index + 1) * WAYS.len(),
+                });
+                points.push((points.len().to_string(), Vector3::new(0.0, 0.0, height)));
+            }
+            foot_m += segment.height_m;
+        }
+        let is_held = (0..points.len()).map(|point| point == 0).collect();
+        Self { points, is_held, lines, up: Up::Z }
+    }
+}
