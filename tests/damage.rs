@@ -23,7 +23,6 @@ fn with_damage(name: &str, parameter: &str, loss: f64, over_s: f64) -> String {
 /// Runs the demo as a user would and returns its last line.
 fn demo(structure: Option<&Path>, seed: u64) -> Value {
     let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
-    command.env_remove("SPANDREL_REQUIRE_ALL"); // it is said to the tests
     command.args(["demo", "--speed", "max", "--duration", "120", "--headless", "--json"]);
     command.args(["--listen", "tcp/127.0.0.1:0", "--seed", &seed.to_string()]);
     if let Some(path) = structure {

@@ -2,7 +2,7 @@
 //! with the samples of its sensors.
 //!
 //! Needs the right to make namespaces and TAP devices, `ip` (iproute2) and `python3`; without them the tests say that they were
-//! skipped, and fail where `SPANDREL_REQUIRE_ALL` is set. Packets are delayed, shuffled, lost and held up in user space
+//! skipped, and fail where `REQUIRE_ALL_TESTS` is set. Packets are delayed, shuffled, lost and held up in user space
 //! ([`links.py`](support/links.py)) and not by the kernel's netem, which many kernels lack.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 static LABS: AtomicU32 = AtomicU32::new(0);
 
 /// Set where a test that cannot run is a failure.
-const REQUIRE_ALL: &str = "SPANDREL_REQUIRE_ALL";
+const REQUIRE_ALL: &str = "REQUIRE_ALL_TESTS";
 
 /// Some computers on one switch. They are gone when this is dropped; processes in them have to end before.
 pub struct Lab {

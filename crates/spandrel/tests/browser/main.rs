@@ -52,8 +52,8 @@ fn free_address() -> String {
 /// The browser, or none with a word on why; a failure where everything is required.
 async fn browser() -> Option<Browser> {
     let Some(program) = chromium::installed() else {
-        let required = std::env::var_os("SPANDREL_REQUIRE_ALL").is_some();
-        assert!(!required, "Chromium is not installed, and SPANDREL_REQUIRE_ALL is set: apt-get install chromium");
+        let required = std::env::var_os("REQUIRE_ALL_TESTS").is_some();
+        assert!(!required, "Chromium is not installed, and REQUIRE_ALL_TESTS is set: apt-get install chromium");
         eprintln!("skipped: no Chromium is installed (apt-get install chromium)");
         return None;
     };
