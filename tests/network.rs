@@ -28,7 +28,7 @@ const LOCAL: &str = "application/postcard;spandrel.local.v1";
 
 /// Length of the record (s).
 const LENGTH_S: f64 = 76.0;
-/// Processes get so long to start before the first sample is measured (s).
+/// Sensors get so long to start before the first sample is measured (s).
 const HEAD_START_S: f64 = 10.0;
 
 /// When the link of `floor-2` is cut (s of the record).
@@ -74,7 +74,7 @@ struct Network {
     start_s: f64,
     station: Process,
     workers: BTreeMap<&'static str, Process>,
-    _sensors: Vec<Process>,
+    sensors: Vec<Process>,
     bus: Bus,
     estimates: Subscription<EstimateBlock>,
     parameters: Subscription<ParameterDisplay>,
@@ -91,8 +91,8 @@ struct Fused {
 }
 
 impl Network {
-    /// Starts everything, on links of this kind; none where namespaces cannot be made.
-    async fn start(clocks: &str, start_s: f64, link: Link) -> Option<Self> {
+    /// Starts all but the sensors, on links of this kind; none where namespaces cannot be made.
+    async fn start(clocks: &str, link: Link) -> Option<Self> {
         let mut lab = Lab::or_skip(&[&NODES[..], &[STATION]].concat(), 1)?;
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("house.toml"), house(clocks)).unwrap();
@@ -105,16 +105,9 @@ impl Network {
         NODES.iter().for_each(|node| lab.set(node, link));
         let workers = NODES.map(|node| (node, worker(&lab, folder.path(), node)));
         workers.iter().for_each(|(_, worker)| worker.wait_for_log("ready structures=1"));
-        let sensors = NODES.map(|node| {
-            let mut command = lab.spandrel(node, "simulate");
-            command.arg(folder.path().join("house.toml")).args(["--live", "--node", node, "--connect", AT_NODE]);
-            command.args(["--start", &start_s.to_string(), "--duration", &LENGTH_S.to_string()]);
-            Process::start(command.env("SPANDREL_BUS__MODE", "client"))
-        });
         let config = BusConfig { mode: Mode::Client, connect: vec![socket], ..BusConfig::default() };
         let bus = Bus::open(&config).await.unwrap();
         let keys = config.keys("house").unwrap();
-        assert!(now_s() < start_s, "{HEAD_START_S} s are too short for the processes to start");
         Some(Self {
             estimates: bus.subscribe(keys.estimates(), 1 << 12).await.unwrap(),
             parameters: bus.subscribe(keys.all_parameters(), 1 << 12).await.unwrap(),
@@ -122,13 +115,26 @@ impl Network {
             nodes: bus.subscribe(keys.all_nodes(), 1 << 12).await.unwrap(),
             drops: Drops::watch(&bus, &keys).await,
             workers: workers.into(),
-            _sensors: sensors.into(),
-            start_s,
+            sensors: Vec::new(),
+            start_s: f64::NAN,
             lab,
             folder,
             station,
             bus,
         })
+    }
+
+    /// Starts the sensors, whose record begins at this time (s since 1970, UTC).
+    fn measure(&mut self, start_s: f64) {
+        let sensors = NODES.map(|node| {
+            let mut command = self.lab.spandrel(node, "simulate");
+            command.arg(self.folder.path().join("house.toml")).args(["--live", "--node", node, "--connect", AT_NODE]);
+            command.args(["--start", &start_s.to_string(), "--duration", &LENGTH_S.to_string()]);
+            Process::start(command.env("SPANDREL_BUS__MODE", "client"))
+        });
+        self.sensors = sensors.into();
+        self.start_s = start_s;
+        assert!(now_s() < start_s, "{HEAD_START_S} s are too short for the sensors to start");
     }
 
     /// Waits for a time of the record (s).
@@ -187,15 +193,15 @@ fn now_s() -> f64 {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn estimates_outside_disturbed_spans_are_those_of_an_undisturbed_network() {
-    let start_s = now_s().ceil() + HEAD_START_S;
     let good = Link { loss: 0.0, delay_s: 0.0, jitter_s: 0.0 };
     let bad = Link { loss: 0.1, delay_s: 0.05, jitter_s: 0.01 };
     // the clock of floor-1 is ahead and fast, that of floor-4 behind and slow
     let clocks = "clock-offsets-s = { floor-1 = 0.02, floor-4 = -0.02 }\n\
                   clock-drifts-ppm = { floor-1 = 50, floor-4 = -50 }\n";
-    let (undisturbed, disturbed) =
-        tokio::join!(Network::start("", start_s, good), Network::start(clocks, start_s, bad));
-    let (Some(undisturbed), Some(mut disturbed)) = (undisturbed, disturbed) else { return };
+    let (undisturbed, disturbed) = tokio::join!(Network::start("", good), Network::start(clocks, bad));
+    let (Some(mut undisturbed), Some(mut disturbed)) = (undisturbed, disturbed) else { return };
+    let start_s = now_s().ceil() + HEAD_START_S;
+    [&mut undisturbed, &mut disturbed].map(|network| network.measure(start_s));
 
     disturbed.until(PARTITION_S.start).await;
     disturbed.lab.cut("floor-2");

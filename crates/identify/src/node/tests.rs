@@ -3,8 +3,15 @@ use std::path::Path;
 
 const FILE: &str = include_str!("../../../../docs/examples/forty-storey-building.toml");
 
-fn worker(rule: &str) -> NodeIdentification {
-    let text = FILE.replace("sampling-rate-hz = 250", "sampling-rate-hz = 25").replace("motion = \"responses\"", rule);
+/// The fourth node at 25 Hz, which tells no motion.
+fn worker() -> NodeIdentification {
+    let mut text = FILE.to_owned();
+    for (line, other) in
+        [("sampling-rate-hz = 250", "sampling-rate-hz = 25"), ("motion = \"samples\"", "motion = \"none\"")]
+    {
+        assert_eq!(text.matches(line).count(), 1, "{line}");
+        text = text.replace(line, other);
+    }
     let structure = Structure::parse(&text, Path::new("building.toml")).unwrap();
     NodeIdentification::new(&structure, 3, 5).unwrap()
 }
@@ -48,7 +55,7 @@ fn answer(message: &LocalMessage) -> NodeInput {
 
 #[test]
 fn live_samples_wait_for_nothing() {
-    let mut worker = worker("motion = \"none\"");
+    let mut worker = worker();
     let sent = run(&mut worker, [NodeInput::Samples(samples(0, 100, Pace::Live))]);
     let indices: Vec<u64> = sent.iter().map(|message| message.header.sequence).collect();
     assert_eq!(indices, [1, 2, 3, 4]);
@@ -62,7 +69,7 @@ fn live_samples_wait_for_nothing() {
 #[test]
 fn replayed_samples_wait_for_each_answer_whatever_the_blocks() {
     let means = |cuts: &[u64]| {
-        let mut worker = worker("motion = \"none\"");
+        let mut worker = worker();
         let mut inputs: VecDeque<NodeInput> =
             cuts.windows(2).map(|cut| NodeInput::Samples(samples(cut[0], cut[1], Pace::Replayed))).collect();
         let mut sent = Vec::new();
@@ -86,7 +93,7 @@ fn replayed_samples_wait_for_each_answer_whatever_the_blocks() {
 #[test]
 fn a_late_answer_gives_the_same_as_one_in_time() {
     let late = |samples_late: u64| {
-        let mut worker = worker("motion = \"none\"");
+        let mut worker = worker();
         let first = run(&mut worker, [NodeInput::Samples(samples(0, 25, Pace::Live))]);
         let middle = 25 + samples_late;
         run(&mut worker, [NodeInput::Samples(samples(25, middle, Pace::Live)), answer(&first[0])]);
@@ -101,7 +108,7 @@ fn a_late_answer_gives_the_same_as_one_in_time() {
 
 #[test]
 fn gaps_are_bridged_and_nonsense_is_dropped() {
-    let mut worker = worker("motion = \"none\"");
+    let mut worker = worker();
     let mut wild = samples(25, 50, Pace::Live);
     wild.samples[4] = 1e30;
     wild.samples[7] = f64::INFINITY;
@@ -125,7 +132,7 @@ fn gaps_are_bridged_and_nonsense_is_dropped() {
 
 #[test]
 fn answers_of_no_use_change_nothing() {
-    let mut worker = worker("motion = \"none\"");
+    let mut worker = worker();
     let first = run(&mut worker, [NodeInput::Samples(samples(0, 25, Pace::Live))]);
     let NodeInput::Feedback(good) = answer(&first[0]) else { unreachable!() };
     let before = worker.filter().filter().parameters();
