@@ -201,7 +201,8 @@ async fn estimates_outside_disturbed_spans_are_those_of_an_undisturbed_network()
     let (undisturbed, disturbed) = tokio::join!(Network::start("", good), Network::start(clocks, bad));
     let (Some(mut undisturbed), Some(mut disturbed)) = (undisturbed, disturbed) else { return };
     let start_s = now_s().ceil() + HEAD_START_S;
-    [&mut undisturbed, &mut disturbed].map(|network| network.measure(start_s));
+    undisturbed.measure(start_s);
+    disturbed.measure(start_s);
 
     disturbed.until(PARTITION_S.start).await;
     disturbed.lab.cut("floor-2");
