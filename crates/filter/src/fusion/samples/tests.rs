@@ -146,7 +146,7 @@ fn what_others_tell_is_learnt_as_by_a_filter_that_had_it_in_time() {
     all.step(Frame { observations: &[f64::NAN; 2], excitation: &[] }).unwrap();
     all.replace_parameters(&fused).unwrap();
     for step in STEPS..2 * STEPS {
-        let other = if (step + 1 - STEPS) % 2 == 0 { datum(1, step) } else { f64::NAN };
+        let other = if (step + 1 - STEPS).is_multiple_of(2) { datum(1, step) } else { f64::NAN };
         all.step(Frame { observations: &[datum(0, step), other], excitation: &[] }).unwrap();
     }
     let again = Gaussian {
