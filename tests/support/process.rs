@@ -3,6 +3,7 @@
 use super::DEADLINE;
 use std::io::{Read, Write};
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 
 /// The built binary with an environment that says nothing to it.
@@ -12,7 +13,11 @@ pub fn spandrel(subcommand: &str) -> Command {
     for (name, _) in std::env::vars().filter(|(name, _)| ours(name)) {
         command.env_remove(name);
     }
-    command.arg(subcommand);
+    // what a process remembers is not for the next test, and not for the user of this machine
+    static PROCESSES: AtomicU32 = AtomicU32::new(0);
+    let number = PROCESSES.fetch_add(1, Ordering::Relaxed);
+    let state = format!("{}/state-{}-{number}", env!("CARGO_TARGET_TMPDIR"), std::process::id());
+    command.env("XDG_STATE_HOME", state).env_remove("STATE_DIRECTORY").arg(subcommand);
     command
 }
 

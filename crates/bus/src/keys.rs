@@ -224,10 +224,22 @@ impl Keys {
         self.below("description")
     }
 
-    /// Queries for the history of one parameter.
+    /// Queries for the history of one parameter, or of what else has this name (`kind`).
     #[must_use]
     pub fn history(&self, parameter: &Name) -> String {
         self.below(&format!("history/{parameter}"))
+    }
+
+    /// Queries for any history.
+    #[must_use]
+    pub fn all_history(&self) -> String {
+        self.below("history/*")
+    }
+
+    /// Queries for what happened: alerts, acknowledgements, events.
+    #[must_use]
+    pub fn history_log(&self) -> String {
+        self.below("@history-log")
     }
 }
 
@@ -246,14 +258,24 @@ pub enum Service {
     Alert,
     /// The history service.
     History,
+    /// Who tells people of alerts.
+    Notify,
     /// The dashboard.
     Dashboard,
 }
 
 impl Service {
     /// All services.
-    pub const ALL: [Self; 7] =
-        [Self::Sensor, Self::Ingest, Self::Identify, Self::Fuse, Self::Alert, Self::History, Self::Dashboard];
+    pub const ALL: [Self; 8] = [
+        Self::Sensor,
+        Self::Ingest,
+        Self::Identify,
+        Self::Fuse,
+        Self::Alert,
+        Self::History,
+        Self::Notify,
+        Self::Dashboard,
+    ];
 
     /// The name of the service in a key expression.
     #[must_use]
@@ -265,6 +287,7 @@ impl Service {
             Self::Fuse => "fuse",
             Self::Alert => "alert",
             Self::History => "history",
+            Self::Notify => "notify",
             Self::Dashboard => "dashboard",
         }
     }
@@ -377,6 +400,8 @@ mod tests {
             (keys.recording(), "spandrel/tower/@recording"),
             (keys.buffer(&n), "spandrel/tower/sensor/storey-1/@buffer"),
             (keys.estimates_buffer(), "spandrel/tower/@estimates"),
+            (keys.history(&n), "spandrel/tower/history/storey-1"),
+            (keys.history_log(), "spandrel/tower/@history-log"),
         ];
         for (found, expected) in expected {
             assert_eq!(found, expected);

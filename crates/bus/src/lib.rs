@@ -36,6 +36,7 @@ mod grid;
 mod keys;
 mod message;
 mod range;
+mod span;
 
 mod follow;
 mod ring;
@@ -45,6 +46,7 @@ mod error;
 mod live;
 mod progress;
 mod publish;
+mod questions;
 mod session;
 mod stream;
 mod subscribe;
@@ -60,16 +62,18 @@ pub use live::{LiveToken, LiveWatch};
 pub use message::{
     Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChannelState, ClassCalibration, ClassPlausibility,
     CredibleInterval, DecodeError, Description, EncodeError, Estimate, EstimateBlock, EstimateFlags, Event, EventKind,
-    FeedbackMessage, Format, FrameBlock, Header, LocalDensity, LocalMessage, MAX_CHANNELS, MAX_ITEMS,
-    MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message, ModelClassDisplay, MotionNumbers, NodeDisplay,
-    NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, Progress,
-    SampleBlock, Status, StreamState,
+    FeedbackMessage, Format, FrameBlock, Header, HistoryLog, HistoryRows, HistorySpan, LocalDensity, LocalMessage,
+    MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message, ModelClassDisplay,
+    MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay, Pace,
+    ParameterDisplay, Phase, Progress, SampleBlock, Status, StreamState,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};
 pub use publish::{DisplayPublisher, LatestPublisher, NumberedPublisher, NumberedStream};
+pub use questions::{Question, Questions};
 pub use range::{QueryRange, RangeError};
 pub use ring::{Answer, NotConsecutive, Ring};
 pub use session::{Bus, BusConfig, DEFAULT_ENDPOINT, Mode};
+pub use span::{SpanError, SpanQuery};
 pub use stream::{Stream, StreamCounts, StreamSettings};
 pub use subscribe::Subscription;

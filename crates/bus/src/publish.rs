@@ -101,7 +101,7 @@ async fn declare_publisher<M: Message>(session: &Session, key: String) -> Result
 }
 
 /// The callback only hands over: Zenoh's threads do no work of ours.
-async fn declare_queryable(
+pub(crate) async fn declare_queryable(
     session: &Session,
     key: String,
     queries: flume::Sender<Query>,

@@ -10,7 +10,9 @@ use zenoh::query::ConsolidationMode;
 use zenoh::sample::Sample;
 
 use crate::error::BusError;
+use crate::keys::{Topic, parse_key};
 use crate::message::{DecodeError, Message};
+use crate::name::Name;
 use crate::session::Bus;
 
 /// Messages of one kind, with the keys they were put on; when the queue is full, the oldest is overwritten.
@@ -26,6 +28,19 @@ impl<M: Message + Send + 'static> Subscription<M> {
     #[must_use]
     pub fn messages(&self) -> &flume::Receiver<(String, M)> {
         &self.messages
+    }
+
+    /// Takes all that waits and says the place of its key (structure and topic); what says another place is left out. A message
+    /// that says none (`None`) is taken.
+    pub fn gather(&self, root: &Name, place: impl Fn(&M) -> Option<(&Name, Topic)>) -> impl Iterator<Item = M> {
+        // what comes meanwhile waits: a source at full speed must not keep us here
+        self.messages.try_iter().take(self.messages.len()).filter_map(move |(key, message)| {
+            let is_in_place = place(&message).is_none_or(|(structure, topic)| {
+                parse_key(root, &key)
+                    .is_some_and(|(of_key, topic_of_key)| (structure, topic) == (&of_key, topic_of_key))
+            });
+            is_in_place.then_some(message)
+        })
     }
 
     /// Messages refused, by reason; `overwritten` counts those that a newer one pushed out.

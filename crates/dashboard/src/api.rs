@@ -2,6 +2,7 @@
 
 use crate::history::{self, Asked, Format, Refused, Request};
 use crate::live;
+use crate::metrics::{self, metrics};
 use crate::overview::overview;
 use crate::page::{ASSETS, with_headers};
 use crate::server::{Server, now_ns};
@@ -44,6 +45,7 @@ fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
         ("/api/alerts", Method::GET, get(alerts)),
         ("/api/live", Method::GET, get(listen)),
         ("/api/openapi.json", Method::GET, get(openapi)),
+        ("/metrics", Method::GET, get(read_metrics)),
     ]
 }
 
@@ -137,6 +139,12 @@ async fn openapi() -> Response {
     ([(CONTENT_TYPE, "application/json")], OPENAPI).into_response()
 }
 
+async fn read_metrics(State(server): Shared) -> Result<Response, Mistake> {
+    let text = metrics(server.stores());
+    let text = text.map_err(|error| Mistake::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string(), "try again"))?;
+    Ok(([(CONTENT_TYPE, metrics::CONTENT_TYPE)], text).into_response())
+}
+
 async fn structures(State(server): Shared) -> Response {
     Json(json!({"structures": server.overviews()})).into_response()
 }
@@ -153,10 +161,13 @@ async fn read_history(
     asked: Result<Query<Asked>, QueryRejection>,
 ) -> Result<Response, Mistake> {
     let Query(asked) = asked?;
-    let span = {
+    let (mut span, earlier) = {
         let store = find(&server, &name)?;
         history::read(&store, &Request::new(&asked, &store)?)
     };
+    for (earlier, answer) in server.ask_history(&name, earlier).await {
+        span.put_before(&earlier, &answer);
+    }
     Ok(match asked.format {
         Format::Json => Json(span).into_response(),
         Format::Csv => {

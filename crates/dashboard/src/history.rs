@@ -1,13 +1,14 @@
 //! Spans of time: which are asked for, and what is known of them.
 //!
 //! Every span that the page or a script asks for goes through [`read`]. It answers from what the dashboard has kept since
-//! its start. What lies before that is for the history service, under the keys of `Keys::history`; there is none yet, so
-//! that the answer says from when on it has everything.
+//! its start, and says what it lacks: that is for the history service, whose answers [`Span::put_before`] takes. Without one the
+//! answer says from when on it has everything.
 
 use crate::series::{Series, Table};
 use crate::store::Store;
-use crate::topic::SeriesName;
+use crate::topic::{Kind, SeriesName};
 use serde::{Deserialize, Serialize};
+use spandrel_bus::{HistorySpan, Name, Service, SpanQuery};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
@@ -76,6 +77,19 @@ struct SpanOfSeries {
     data: Vec<Vec<f64>>,
     #[serde(skip)]
     table: Table,
+    #[serde(skip)]
+    kind: Kind,
+    #[serde(skip)]
+    kept_from_ns: Option<i64>,
+}
+
+/// What lies before that which a dashboard has kept itself.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Earlier {
+    /// Which series of the span.
+    place: usize,
+    pub(crate) name: Name,
+    pub(crate) query: SpanQuery,
 }
 
 impl Request {
@@ -113,26 +127,51 @@ impl Request {
     }
 }
 
-/// Reads what is known of a span.
-pub(crate) fn read(store: &Store, request: &Request) -> Span {
-    let mut kept_from_ns = None;
+/// Reads what is known of a span here, and tells what the history service may know of it.
+pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
     let mut series = Vec::new();
-    for name in &request.series {
+    let mut earlier = Vec::new();
+    let has_history = store.present.iter().any(|(service, _)| *service == Service::History);
+    for (place, name) in request.series.iter().enumerate() {
         let found = store.series(name);
-        kept_from_ns = kept_from_ns.max(found.and_then(Series::first_ns));
+        let first_ns = found.and_then(Series::first_ns);
+        let mut points = request.points;
+        if has_history && request.from_ns < first_ns.unwrap_or(i64::MAX) {
+            let query = before(request, name.kind, first_ns);
+            // the rest of the points is for what is here
+            points = (points - query.points).max(1);
+            earlier.extend(Name::new(name.of.clone()).ok().map(|name| Earlier { place, name, query }));
+        }
         // what may come and has not yet is empty
-        let span = |series: &Series| series.span(request.from_ns, request.to_ns, request.points);
-        let table = found.map(span).unwrap_or_default();
+        let span = |series: &Series| series.span(request.from_ns, request.to_ns, points);
+        let width = name.kind.columns().len();
+        let table = found.map_or_else(|| Table::of(width, std::iter::empty()), span);
         series.push(SpanOfSeries {
             name: name.to_string(),
             generation: found.map_or(0, Series::generation),
             columns: std::iter::once("time_s").chain(name.kind.columns().iter().copied()).collect(),
-            data: columns(&table, name.kind.columns().len()),
+            data: columns(&table, width),
             table,
+            kind: name.kind,
+            kept_from_ns: first_ns,
         });
     }
-    let kept_from_s = kept_from_ns.map(|time_ns| time_ns as f64 / 1e9);
-    Span { structure: store.about.name.clone(), kept_from_s, series }
+    let mut span = Span { structure: store.about.name.clone(), kept_from_s: None, series };
+    span.tell_kept_from();
+    (span, earlier)
+}
+
+/// What to ask for before the first point that is here: a share of the points that is that of its time.
+fn before(request: &Request, kind: Kind, first_ns: Option<i64>) -> SpanQuery {
+    let end_ns = first_ns.map_or(request.to_ns, |first_ns| request.to_ns.min(first_ns.saturating_sub(1)));
+    let length = |to_ns: i64| (to_ns as f64) - (request.from_ns as f64);
+    let share = if first_ns.is_none() { 1.0 } else { length(end_ns) / length(request.to_ns).max(1.0) };
+    // a span without a beginning or an end says nothing of shares
+    let is_bounded = request.from_ns > i64::MIN && request.to_ns < i64::MAX;
+    let share = if is_bounded || first_ns.is_none() { share } else { 0.5 };
+    let points = ((request.points as f64) * share).ceil() as usize;
+    let query = SpanQuery { points: points.clamp(1, request.points), ..SpanQuery::default() };
+    SpanQuery { from_ns: request.from_ns, to_ns: end_ns, kind: kind.as_str().to_owned(), ..query }
 }
 
 /// The columns of a table, the time (s) first.
@@ -143,6 +182,38 @@ pub(crate) fn columns(table: &Table, width: usize) -> Vec<Vec<f64>> {
 }
 
 impl Span {
+    /// Puts what the history service knows before what is known here.
+    pub(crate) fn put_before(&mut self, earlier: &Earlier, answer: &HistorySpan) {
+        let Some(series) = self.series.get_mut(earlier.place) else { return };
+        let width = series.kind.columns().len();
+        let rows = &answer.rows;
+        let row = |row: usize| {
+            let values = match series.kind {
+                Kind::Parameter => vec![rows.mean[row], rows.std[row], rows.probability_of_loss[row]],
+                Kind::Noise => vec![rows.mean[row], rows.std[row]],
+                Kind::Outlier | Kind::Node => vec![rows.largest[row]], // the rest is not kept
+                Kind::Class => vec![rows.mean[row]],
+                Kind::Innovation | Kind::Consistency => Vec::new(),
+            };
+            ((rows.time_s[row] * 1e9).round() as i64, values)
+        };
+        // a time in seconds is rounded, and must not come after what follows
+        let end_ns = earlier.query.to_ns;
+        let rows = (0..rows.time_s.len()).map(row).map(|(time_ns, values)| (time_ns.min(end_ns), values));
+        let mut table = Table::of(width, rows);
+        table.append(std::mem::take(&mut series.table));
+        series.data = columns(&table, width);
+        series.table = table;
+        let kept_from_ns = answer.kept_from_s.map(|seconds| (seconds * 1e9) as i64);
+        series.kept_from_ns = series.kept_from_ns.into_iter().chain(kept_from_ns).min();
+        self.tell_kept_from();
+    }
+
+    fn tell_kept_from(&mut self) {
+        let last = self.series.iter().filter_map(|series| series.kept_from_ns).max();
+        self.kept_from_s = last.map(|time_ns| time_ns as f64 / 1e9);
+    }
+
     /// One row per time (ISO 8601, UTC), one column per series and value; empty where a series has no point.
     pub(crate) fn csv(&self) -> String {
         let mut rows: BTreeMap<i64, Vec<(usize, f64)>> = BTreeMap::new();

@@ -47,6 +47,7 @@ mod server;
 
 mod api;
 mod live;
+mod metrics;
 mod page;
 
 mod service;

@@ -2,8 +2,9 @@
 
 use crate::store::Input;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Bus, BusError, EstimateBlock, Event, Keys, LiveWatch, Message, ModelClassDisplay,
-    Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Service, Status, Subscription, Topic, parse_key,
+    Acknowledgement, AlertMessage, Bus, BusError, EstimateBlock, Event, HistoryLog, Keys, LiveWatch, ModelClassDisplay,
+    Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Service, SpanQuery, Status, Subscription, Topic,
+    parse_key,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -16,6 +17,8 @@ const VALUES_WAITING: usize = 8_192;
 const BLOCKS_WAITING: usize = 256;
 /// Alerts and what else must not be missed: far more than come in a tick.
 const ALERTS_WAITING: usize = 4_096;
+/// Alerts, acknowledgements and events that are asked of the history.
+const PAST: usize = 1_000;
 /// Time for the alert service to say how its alerts stand.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
@@ -37,6 +40,7 @@ pub(crate) struct Listening {
     live: Vec<LiveWatch>,
     present: BTreeSet<(Service, Name)>,
     asked: JoinSet<Result<Vec<(String, AlertMessage)>, BusError>>,
+    past: JoinSet<Result<Vec<(String, HistoryLog)>, BusError>>,
 }
 
 impl Listening {
@@ -59,6 +63,7 @@ impl Listening {
             live,
             present: BTreeSet::new(),
             asked: JoinSet::new(),
+            past: JoinSet::new(),
             bus: bus.clone(),
             keys: keys.clone(),
         };
@@ -72,27 +77,50 @@ impl Listening {
         self.asked.spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
     }
 
+    /// Asks what happened before; the answer comes with what is gathered later.
+    fn ask_past(&mut self) {
+        let log = format!("{}?{}", self.keys.history_log(), SpanQuery { points: PAST, ..SpanQuery::default() });
+        let bus = self.bus.clone();
+        self.past.spawn(async move { bus.ask(&log, ANSWER_WITHIN).await });
+    }
+
     /// Adds what has come since the last time; what is on a key that says otherwise is left out.
     pub(crate) fn gather(&mut self, inputs: &mut Vec<Input>) {
         self.gather_present(inputs);
         let keys = self.keys.clone();
-        let mut take = Taking { keys: &keys, inputs };
-        take.all(&self.statuses, |_| None, Input::Status);
-        take.all(&self.parameters, |m| Some((&m.structure, Topic::Parameter(m.parameter.clone()))), Input::Parameter);
-        take.all(&self.noise, |m| Some((&m.structure, Topic::Noise(m.name.clone()))), Input::Noise);
-        take.all(&self.outliers, |m| Some((&m.structure, Topic::Outlier(m.channel.clone()))), Input::Outlier);
-        take.all(&self.classes, |m| Some((&m.structure, Topic::ModelClass)), Input::Classes);
-        take.all(&self.nodes, |m| Some((&m.structure, Topic::Node(m.node.clone()))), Input::Node);
-        take.all(&self.estimates, |_| None, Input::Estimates);
+        let root = keys.root();
+        inputs.extend(self.statuses.gather(root, |_| None).map(Input::Status));
+        let of_parameter = |m: &ParameterDisplay| Topic::Parameter(m.parameter.clone());
+        let parameters = self.parameters.gather(root, |m| Some((&m.structure, of_parameter(m))));
+        inputs.extend(parameters.map(Input::Parameter));
+        let noise = self.noise.gather(root, |m| Some((&m.structure, Topic::Noise(m.name.clone()))));
+        inputs.extend(noise.map(Input::Noise));
+        let outliers = self.outliers.gather(root, |m| Some((&m.structure, Topic::Outlier(m.channel.clone()))));
+        inputs.extend(outliers.map(Input::Outlier));
+        let classes = self.classes.gather(root, |m| Some((&m.structure, Topic::ModelClass)));
+        inputs.extend(classes.map(Input::Classes));
+        let nodes = self.nodes.gather(root, |m| Some((&m.structure, Topic::Node(m.node.clone()))));
+        inputs.extend(nodes.map(Input::Node));
+        inputs.extend(self.estimates.gather(root, |_| None).map(Input::Estimates));
         let of_acknowledgement = |m: &Acknowledgement| Topic::Acknowledge(m.parameter.clone());
-        take.all(&self.acknowledgements, |m| Some((&m.structure, of_acknowledgement(m))), Input::Acknowledgement);
-        take.all(&self.alerts, |m| Some((&m.structure, Topic::Alert(m.parameter.clone()))), Input::Alert);
-        take.all(&self.events, |m| Some((&m.structure, Topic::Event)), Input::Event);
+        let acknowledgements = self.acknowledgements.gather(root, |m| Some((&m.structure, of_acknowledgement(m))));
+        inputs.extend(acknowledgements.map(Input::Acknowledgement));
+        let alerts = self.alerts.gather(root, |m| Some((&m.structure, Topic::Alert(m.parameter.clone()))));
+        inputs.extend(alerts.map(Input::Alert));
+        let events = self.events.gather(root, |m| Some((&m.structure, Topic::Event)));
+        inputs.extend(events.map(Input::Event));
         while let Some(answer) = self.asked.try_join_next() {
             match answer {
                 Ok(Ok(alerts)) => inputs.extend(alerts.into_iter().map(|(_, alert)| Input::StandingAlert(alert))),
                 Ok(Err(error)) => warn!(%error, "cannot ask for the last alerts"),
                 Err(error) => warn!(%error, "question for the last alerts is lost"),
+            }
+        }
+        while let Some(answer) = self.past.try_join_next() {
+            match answer {
+                Ok(Ok(logs)) => inputs.extend(logs.into_iter().map(|(_, log)| Input::Past(log))),
+                Ok(Err(error)) => warn!(%error, "cannot ask for what happened before"),
+                Err(error) => warn!(%error, "question for what happened before is lost"),
             }
         }
     }
@@ -108,8 +136,13 @@ impl Listening {
             return;
         }
         // one that has come back, or that was reached again, may stand otherwise than we know
-        if present.difference(&self.present).any(|(service, _)| *service == Service::Alert) {
+        let new = |wanted: Service| present.difference(&self.present).any(|(service, _)| *service == wanted);
+        let (has_alerts, has_history) = (new(Service::Alert), new(Service::History));
+        if has_alerts {
             self.ask();
+        }
+        if has_history {
+            self.ask_past();
         }
         self.present.clone_from(&present);
         inputs.push(Input::Present(present));
@@ -135,33 +168,5 @@ impl Listening {
             *sum.entry(reason).or_default() += count;
         }
         sum
-    }
-}
-
-/// Takes what has come for one structure.
-struct Taking<'t> {
-    keys: &'t Keys,
-    inputs: &'t mut Vec<Input>,
-}
-
-impl Taking<'_> {
-    /// Takes all that waits; a message that says another place than that of its key is left out.
-    fn all<M: Message + Send + 'static>(
-        &mut self,
-        subscription: &Subscription<M>,
-        place: impl Fn(&M) -> Option<(&Name, Topic)>,
-        input: impl Fn(M) -> Input,
-    ) {
-        let messages = subscription.messages();
-        // what comes meanwhile waits: a source at full speed must not keep us here
-        for (key, message) in messages.try_iter().take(messages.len()) {
-            let of_key = parse_key(self.keys.root(), &key);
-            let is_in_place = place(&message).is_none_or(|(structure, topic)| {
-                of_key.is_some_and(|(key_structure, key_topic)| (structure, topic) == (&key_structure, key_topic))
-            });
-            if is_in_place {
-                self.inputs.push(input(message));
-            }
-        }
     }
 }

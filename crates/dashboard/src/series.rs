@@ -129,6 +129,19 @@ impl Table {
         self.values.range(row * self.width..(row + 1) * self.width).copied()
     }
 
+    /// A table of some rows, each of `width` values.
+    pub(crate) fn of(width: usize, rows: impl Iterator<Item = (i64, Vec<f64>)>) -> Self {
+        let mut table = Self { width, ..Self::default() };
+        rows.for_each(|(time_ns, values)| table.push(time_ns, &values));
+        table
+    }
+
+    /// Adds the rows of another table of the same width.
+    pub(crate) fn append(&mut self, mut other: Self) {
+        self.times_ns.append(&mut other.times_ns);
+        self.values.append(&mut other.values);
+    }
+
     fn push(&mut self, time_ns: i64, values: &[f64]) {
         self.times_ns.push_back(time_ns);
         // a row of another width would move all that follow

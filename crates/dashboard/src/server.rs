@@ -1,15 +1,21 @@
 //! What all requests share: the pictures of the structures, and the way to the bus.
 
+use crate::history::Earlier;
 use crate::overview::{Overview, overview};
 use crate::store::Store;
-use spandrel_bus::{Acknowledgement, Bus, BusError, Keys};
+use spandrel_bus::{Acknowledgement, Bus, BusError, HistorySpan, Keys};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::sync::watch;
+use tokio::task::JoinSet;
+use tracing::warn;
 
 /// Browsers that may listen at the same time.
 const MOST_CLIENTS: usize = 64;
+
+/// Time for the history service to answer.
+const HISTORY_WITHIN: Duration = Duration::from_secs(3);
 
 /// Shared by the requests and by what listens to the bus.
 #[derive(Debug)]
@@ -67,6 +73,26 @@ impl Server {
         };
         let publisher = self.bus.publish_display(keys.acknowledge(&acknowledgement.parameter)).await?;
         publisher.put(acknowledgement).await
+    }
+
+    /// Asks the history service for what lies before what is kept here; what it does not answer in time is left out.
+    pub(crate) async fn ask_history(&self, structure: &str, all: Vec<Earlier>) -> Vec<(Earlier, HistorySpan)> {
+        let Some((keys, _)) = self.structures.iter().find(|(keys, _)| keys.structure().as_str() == structure) else {
+            return Vec::new();
+        };
+        let mut asked = JoinSet::new();
+        for earlier in all {
+            let selector = format!("{}?{}", keys.history(&earlier.name), earlier.query);
+            let bus = self.bus.clone();
+            asked.spawn(async move {
+                let answers = bus.ask::<HistorySpan>(&selector, HISTORY_WITHIN).await;
+                let answers = answers.inspect_err(|error| warn!(%error, "cannot ask for the history")).ok()?;
+                // of several services that keep it, the one that knows the most
+                let most = answers.into_iter().map(|(_, span)| span).max_by_key(|span| span.rows.time_s.len());
+                Some((earlier, most?))
+            });
+        }
+        asked.join_all().await.into_iter().flatten().collect()
     }
 
     /// A place for one more client; none where all are taken.

@@ -5,8 +5,8 @@ use crate::innovations::{Innovations, Interval};
 use crate::series::{Series, Table};
 use crate::topic::{Kind, SeriesName};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, ChannelState, EstimateBlock, Event, EventKind, ModelClassDisplay, Name,
-    NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, Service, Status,
+    Acknowledgement, AlertMessage, AlertState, ChannelState, EstimateBlock, Event, EventKind, HistoryLog,
+    ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -42,6 +42,8 @@ pub(crate) enum Input {
     Status(Status),
     /// Everybody who is there now.
     Present(BTreeSet<(Service, Name)>),
+    /// What happened before, as the history service keeps it.
+    Past(HistoryLog),
 }
 
 /// One structure as far as it was heard.
@@ -142,6 +144,7 @@ impl Store {
             Input::Event(event) => self.take_event(event),
             Input::Status(status) => self.take_status(status),
             Input::Present(present) => self.take_present(present),
+            Input::Past(log) => self.take_past(log),
         }
     }
 
@@ -280,6 +283,31 @@ impl Store {
             }
         }
         self.present = present;
+    }
+
+    /// Adds what is not known yet to what happened; how alerts stand now is for the alert service to say.
+    fn take_past(&mut self, log: HistoryLog) {
+        for alert in log.alerts {
+            let is_news = !matches!(alert.state, AlertState::Normal | AlertState::Learning);
+            if is_news && !self.changes.contains(&alert) {
+                let place = self.changes.partition_point(|known| known.time_ns > alert.time_ns);
+                self.changes.insert(place, alert);
+            }
+        }
+        self.changes.truncate(CHANGES_KEPT);
+        for event in log.events {
+            if !self.events.contains(&event) {
+                let place = self.events.partition_point(|known| known.time_ns > event.time_ns);
+                self.events.insert(place, event);
+            }
+        }
+        self.events.truncate(EVENTS_KEPT);
+        for note in log.acknowledgements {
+            let known = self.notes.get(note.parameter.as_str());
+            if known.is_none_or(|known| known.time_ns < note.time_ns) {
+                self.notes.insert(note.parameter.to_string(), note);
+            }
+        }
     }
 
     /// How long nothing was measured; `None` before the first value.

@@ -55,6 +55,12 @@ pub enum Command {
     /// Decide on alerts from estimates.
     #[command(after_help = "Example: spandrel alert --config spandrel.toml")]
     Alert(ServiceArguments),
+    /// Keep estimates, alerts and events in a database, and answer for the past.
+    #[command(after_help = "Example: spandrel history bridge.toml --connect tcp/10.0.0.5:7447")]
+    History(ServiceArguments),
+    /// Tell of alerts by webhook, Alertmanager and e-mail.
+    #[command(after_help = "Example: spandrel notify --config spandrel.toml")]
+    Notify(ServiceArguments),
     /// Serve a web page of parameters and alerts, with an HTTP interface and a WebSocket.
     #[command(after_help = "Examples: spandrel dashboard bridge.toml --connect tcp/10.0.0.5:7447\n          \
                             spandrel dashboard --config spandrel.toml --http 0.0.0.0:8080")]
@@ -85,6 +91,10 @@ pub enum Command {
     #[command(after_help = "Examples: spandrel validate --quick\n          \
                       spandrel validate ekf.bridge outlier --seeds 3 --report validation")]
     Validate(ValidateArguments),
+    /// Measure how many structures this machine can watch in real time, and how late it is.
+    #[command(after_help = "Examples: spandrel bench --structures 100\n          \
+                      spandrel bench --largest --apart --json")]
+    Bench(BenchArguments),
     /// Watch parameters and alerts of a running system in this terminal.
     #[command(after_help = "Example: spandrel watch tower --connect tcp/127.0.0.1:7447")]
     Watch(WatchArguments),
@@ -208,6 +218,30 @@ pub struct DemoArguments {
     pub structure: Option<PathBuf>,
     #[command(flatten)]
     pub page: PageArguments,
+    #[command(flatten)]
+    pub bus: BusArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct BenchArguments {
+    /// Structure file with a simulation table, of which there are copies [default: the building of the demo].
+    #[arg(value_name = "STRUCTURE.toml")]
+    pub structure: Option<PathBuf>,
+    /// Number of structures, or the first one that is tried.
+    #[arg(long, default_value_t = 10, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=10_000))]
+    pub structures: usize,
+    /// Go on with more structures until the machine is overrun, and tell the largest number that is sustained.
+    #[arg(long)]
+    pub largest: bool,
+    /// Length of each measurement (s); the first 5 s are not counted.
+    #[arg(long, default_value_t = 20.0, value_name = "SECONDS", value_parser = seconds)]
+    pub duration: f64,
+    /// Services in a process of their own, and sensors in another.
+    #[arg(long)]
+    pub apart: bool,
+    /// One JSON object a line, each a measurement.
+    #[arg(long)]
+    pub json: bool,
     #[command(flatten)]
     pub bus: BusArguments,
 }

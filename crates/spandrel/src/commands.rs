@@ -1,6 +1,7 @@
 //! The subcommands: each in a file of its own.
 
 mod baseline;
+mod bench;
 mod check;
 mod dashboard;
 mod demo;
@@ -30,11 +31,14 @@ pub fn run(command: Command) -> Result<(), AppError> {
         Command::Identify(arguments) => run::one(&arguments.service, run::Services::IDENTIFY, &arguments.node),
         Command::Fuse(arguments) => run::one(&arguments, run::Services::FUSE, &[]),
         Command::Alert(arguments) => run::one(&arguments, run::Services::ALERT, &[]),
+        Command::History(arguments) => run::one(&arguments, run::Services::HISTORY, &[]),
+        Command::Notify(arguments) => run::one(&arguments, run::Services::NOTIFY, &[]),
         Command::Dashboard(arguments) => dashboard::run(&arguments),
         Command::Simulate(arguments) => simulate::run(arguments),
         Command::Replay(arguments) => replay::run(arguments),
         Command::Estimate(arguments) => estimate::run(&arguments),
         Command::Baseline(arguments) => baseline::run(&arguments),
+        Command::Bench(arguments) => bench::run(&arguments),
         Command::Check(arguments) => check::run(arguments),
         Command::Validate(arguments) => validate::run(&arguments),
         Command::Watch(arguments) => watch::run(arguments),

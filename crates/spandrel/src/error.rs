@@ -3,8 +3,10 @@
 use spandrel_alert::AlertError;
 use spandrel_bus::{BusError, NameError};
 use spandrel_dashboard::DashboardError;
+use spandrel_history::HistoryError;
 use spandrel_identify::IdentifyError;
 use spandrel_ingest::IngestError;
+use spandrel_notify::NotifyError;
 use spandrel_record::RecordError;
 use spandrel_sensor::SensorError;
 use spandrel_structure::StructureError;
@@ -109,6 +111,26 @@ pub enum AppError {
     /// The dashboard failed.
     #[error(transparent)]
     Dashboard(#[from] DashboardError),
+    /// The history failed.
+    #[error(transparent)]
+    History(#[from] HistoryError),
+    /// The history was asked for, and none is to be kept.
+    #[error("the history is switched off: history.database is none, must be a file, sqlite:FILE or postgres://…")]
+    NoHistory,
+    /// Nothing says where this system keeps what programs have to remember.
+    #[error(
+        "no place for the history: none of STATE_DIRECTORY, XDG_STATE_HOME and HOME is set; set history.database to a file, a postgres:// address, or none"
+    )]
+    NoStateFolder,
+    /// Notices failed.
+    #[error(transparent)]
+    Notify(#[from] NotifyError),
+    /// Notices were asked for, and there is nobody to tell.
+    #[error("nobody to tell: the configuration has no [[notify.webhook]] and no [[notify.email]]")]
+    NobodyToTell,
+    /// No estimate came in a measurement.
+    #[error("nothing was measured: no estimate has come; is the measurement longer than 5 s?")]
+    NothingMeasured,
     /// A page was asked for, and none is to be served.
     #[error("the page is switched off: --http or dashboard.listen is none, must be an address such as 127.0.0.1:8080")]
     NoPage,
@@ -197,6 +219,11 @@ impl AppError {
             | Self::UnknownNode { .. }
             | Self::NothingToFuse
             | Self::NoPage
+            | Self::NoHistory
+            | Self::NobodyToTell
+            | Self::Notify(NotifyError::Setting { .. } | NotifyError::Secret { .. })
+            | Self::NoStateFolder
+            | Self::History(HistoryError::Address { .. })
             | Self::WouldOverwrite { .. }
             | Self::ParticlesOnly { .. }
             | Self::WarmUpTooLong { .. }
@@ -216,9 +243,12 @@ impl AppError {
             | Self::Fuse(_)
             | Self::Alert(_)
             | Self::Dashboard(_)
+            | Self::History(_)
+            | Self::Notify(_)
             | Self::Sensor(_)
             | Self::Validate(_)
             | Self::FiguresMissed { .. }
+            | Self::NothingMeasured
             | Self::Io { .. }
             | Self::Panicked { .. } => ExitCode::FAILURE,
         }

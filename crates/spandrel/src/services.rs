@@ -6,8 +6,10 @@ use spandrel_alert::{AlertService, Baseline};
 use spandrel_bus::{Bus, Keys, Name};
 use spandrel_dashboard::{DashboardService, Listen};
 use spandrel_fuse::FuseService;
+use spandrel_history::{Address, HistoryService, Keep};
 use spandrel_identify::{FilterPool, IdentifyService, NodeService};
 use spandrel_ingest::{IngestService, IngestSettings, Waiting};
+use spandrel_notify::{NotifyService, NotifySettings};
 use spandrel_structure::{Reference, Structure};
 use std::net::SocketAddr;
 use std::num::NonZeroUsize;
@@ -112,6 +114,8 @@ pub struct Running {
     identify: Stage,
     fuse: Stage,
     alert: Stage,
+    history: Stage,
+    notify: Stage,
     dashboard: Stage,
 }
 
@@ -172,6 +176,8 @@ impl Running {
             identify: Stage::new("identify"),
             fuse: Stage::new("fuse"),
             alert: Stage::new("alert"),
+            history: Stage::new("history"),
+            notify: Stage::new("notify"),
             dashboard: Stage::new("dashboard"),
         }
     }
@@ -256,6 +262,42 @@ impl Running {
         Ok(())
     }
 
+    /// Starts the history of all structures.
+    ///
+    /// # Errors
+    /// When it cannot start.
+    pub async fn start_history(
+        &mut self,
+        bus: &Bus,
+        watched: &[Watched],
+        address: &Address,
+        keep: &Keep,
+    ) -> Result<(), AppError> {
+        let structures: Vec<_> =
+            watched.iter().map(|Watched { structure, keys, .. }| (structure, keys.clone())).collect();
+        let service = HistoryService::start(&structures, bus, address, keep.clone(), Name::new("history")?).await?;
+        let stop = self.history.stopped();
+        self.history.tasks.spawn(async move { Ok(service.run(stop).await?) });
+        Ok(())
+    }
+
+    /// Starts the notices of all structures.
+    ///
+    /// # Errors
+    /// When they cannot start.
+    pub async fn start_notify(
+        &mut self,
+        bus: &Bus,
+        watched: &[Watched],
+        settings: &NotifySettings,
+    ) -> Result<(), AppError> {
+        let structures: Vec<Keys> = watched.iter().map(|watched| watched.keys.clone()).collect();
+        let service = NotifyService::start(&structures, bus, settings, Name::new("notify")?).await?;
+        let stop = self.notify.stopped();
+        self.notify.tasks.spawn(async move { Ok(service.run(stop).await?) });
+        Ok(())
+    }
+
     /// Starts the dashboard of all structures, and returns where its page is.
     ///
     /// # Errors
@@ -284,6 +326,8 @@ impl Running {
             ended = self.identify.ended() => ended,
             ended = self.fuse.ended() => ended,
             ended = self.alert.ended() => ended,
+            ended = self.history.ended() => ended,
+            ended = self.notify.ended() => ended,
             ended = self.dashboard.ended() => ended,
         }
     }
@@ -297,8 +341,10 @@ impl Running {
         let identify = self.identify.stop().await;
         let fuse = self.fuse.stop().await;
         let alert = self.alert.stop().await;
+        let history = self.history.stop().await;
+        let notify = self.notify.stop().await;
         let dashboard = self.dashboard.stop().await;
-        ingest.and(identify).and(fuse).and(alert).and(dashboard)
+        ingest.and(identify).and(fuse).and(alert).and(history).and(notify).and(dashboard)
     }
 }
 

@@ -6,7 +6,10 @@ use config::{Config, Environment, File, FileFormat};
 use serde::Deserialize;
 use spandrel_bus::BusConfig;
 use spandrel_dashboard::Listen;
+use spandrel_history::{Address, Keep};
+use spandrel_notify::NotifySettings;
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
@@ -27,25 +30,71 @@ pub struct Settings {
     pub threads: Option<NonZeroUsize>,
     /// The web page.
     pub dashboard: DashboardSettings,
+    /// What is kept for later.
+    pub history: HistorySettings,
+    /// Who is told of alerts.
+    pub notify: NotifySettings,
+}
+
+/// Where the history is kept, and for how long.
+#[derive(Debug, Clone, Default, Deserialize, PartialEq)]
+#[serde(default, deny_unknown_fields)]
+pub struct HistorySettings {
+    /// Its database, or [`NOTHING`]; none: a file where this system keeps what programs have to remember. A relative file in a
+    /// configuration file is relative to it.
+    pub database: Option<String>,
+    /// For how long each resolution is kept.
+    pub keep: Keep,
+    /// Folder of the configuration file.
+    #[serde(skip)]
+    folder: PathBuf,
+}
+
+/// File of the history, in the folder where programs remember.
+const HISTORY_FILE: &str = "history.sqlite";
+
+impl HistorySettings {
+    /// The database; `None` for no history.
+    ///
+    /// # Errors
+    /// When it is none that can be used, or there is no folder for it.
+    pub fn address(&self) -> Result<Option<Address>, AppError> {
+        match self.database.as_deref() {
+            Some(NOTHING) => Ok(None),
+            Some(text) => Ok(Some(Address::parse(text)?.below(&self.folder))),
+            None => {
+                let folder = state_folder(|name| std::env::var_os(name).filter(|value| !value.is_empty()));
+                Ok(Some(Address::Sqlite(folder.ok_or(AppError::NoStateFolder)?.join(HISTORY_FILE))))
+            }
+        }
+    }
+}
+
+/// Where programs keep what they have to remember: what systemd says, or else the place of the user.
+fn state_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
+    let of_service = || variable("STATE_DIRECTORY").map(PathBuf::from);
+    let of_user = || variable("XDG_STATE_HOME").map(|folder| PathBuf::from(folder).join("spandrel"));
+    let at_home = || variable("HOME").map(|home| PathBuf::from(home).join(".local/state/spandrel"));
+    of_service().or_else(of_user).or_else(at_home)
 }
 
 /// Where the web page is served.
 #[derive(Debug, Clone, Default, Deserialize, PartialEq)]
 #[serde(default, deny_unknown_fields)]
 pub struct DashboardSettings {
-    /// Its address, or [`NO_PAGE`]; none: the usual one.
+    /// Its address, or [`NOTHING`]; none: the usual one.
     pub listen: Option<String>,
 }
 
-/// What switches the page off.
-const NO_PAGE: &str = "none";
+/// What switches the page or the history off.
+const NOTHING: &str = "none";
 
 impl DashboardSettings {
     /// Where to listen, flags before configuration; `None` for no page.
     pub fn listen(&self, arguments: &PageArguments) -> Option<Listen> {
         match arguments.http.as_ref().or(self.listen.as_ref()) {
             None => Some(Listen::Default),
-            Some(address) if address == NO_PAGE => None,
+            Some(address) if address == NOTHING => None,
             Some(address) => Some(Listen::At(address.clone())),
         }
     }
@@ -105,6 +154,8 @@ impl Settings {
         for path in paths {
             *path = folder.join(&path);
         }
+        folder.clone_into(&mut self.history.folder);
+        self.notify.resolve(folder);
     }
 }
 
@@ -146,6 +197,27 @@ mod tests {
         assert_eq!(DashboardSettings::default().listen(&flag(None)), Some(Listen::Default));
         let off = load("", &[("SPANDREL_DASHBOARD__LISTEN", "none")], &BusArguments::default()).unwrap();
         assert_eq!(off.dashboard.listen(&flag(None)), None);
+    }
+
+    #[test]
+    fn history_lies_beside_the_configuration_or_where_programs_remember() {
+        let settings = load("[history]\ndatabase = \"bridge.sqlite\"\nkeep.day-s = 5\n", &[], &BusArguments::default());
+        let history = settings.unwrap().history;
+        let Some(Address::Sqlite(path)) = history.address().unwrap() else { panic!("{history:?}") };
+        assert!(path.is_absolute() && path.ends_with("bridge.sqlite"), "{}", path.display());
+        assert_eq!((history.keep.day_s, history.keep.display_s), (Some(5), Some(3_600)));
+        let off = load("", &[("SPANDREL_HISTORY__DATABASE", "none")], &BusArguments::default()).unwrap();
+        assert_eq!(off.history.address().unwrap(), None);
+        let of = |known: &[(&str, &str)]| {
+            state_folder(|name| known.iter().find(|(known, _)| *known == name).map(|(_, value)| value.into()))
+        };
+        assert_eq!(
+            of(&[("HOME", "/root"), ("STATE_DIRECTORY", "/var/lib/spandrel")]),
+            Some("/var/lib/spandrel".into())
+        );
+        assert_eq!(of(&[("HOME", "/root"), ("XDG_STATE_HOME", "/s")]), Some("/s/spandrel".into()));
+        assert_eq!(of(&[("HOME", "/root")]), Some("/root/.local/state/spandrel".into()));
+        assert_eq!(of(&[]), None);
     }
 
     #[test]

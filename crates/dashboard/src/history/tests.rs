@@ -1,4 +1,5 @@
 use super::*;
+use crate::store::Input;
 use crate::testing::{demo, parameter};
 
 const SECOND: i64 = 1_000_000_000;
@@ -26,7 +27,7 @@ fn a_span_has_what_lies_in_it_in_as_many_points_as_asked_for() {
         points: Some(20),
         ..Asked::default()
     };
-    let span = read(&store, &Request::new(&asked, &store).unwrap());
+    let (span, _) = read(&store, &Request::new(&asked, &store).unwrap());
     let [series] = &span.series[..] else { panic!("{} series", span.series.len()) };
     assert_eq!(series.columns, ["time_s", "mean", "std", "probability_of_loss"]);
     assert_eq!((series.data[0].len(), series.data[0][0], series.data[0][19]), (20, 11.0, 49.0));
@@ -37,7 +38,7 @@ fn a_span_has_what_lies_in_it_in_as_many_points_as_asked_for() {
 fn rows_of_a_file_have_one_time_and_empty_fields_where_nothing_was_measured() {
     let store = heard();
     let asked = Asked { from: Some(0.0), to: Some(0.5), ..Asked::default() };
-    let csv = read(&store, &Request::new(&asked, &store).unwrap()).csv();
+    let csv = read(&store, &Request::new(&asked, &store).unwrap()).0.csv();
     let lines: Vec<&str> = csv.lines().collect();
     assert_eq!(
         lines,
@@ -54,7 +55,7 @@ fn rows_of_a_file_have_one_time_and_empty_fields_where_nothing_was_measured() {
 fn what_has_not_come_yet_is_empty_and_no_mistake() {
     let store = demo();
     let asked = Asked { series: Some("parameter/storey-3,consistency/all,noise/floors".into()), ..Asked::default() };
-    let span = read(&store, &Request::new(&asked, &store).unwrap());
+    let (span, _) = read(&store, &Request::new(&asked, &store).unwrap());
     assert_eq!(span.kept_from_s, None);
     let widths: Vec<usize> = span.series.iter().map(|series| series.data.len()).collect();
     assert_eq!(widths, [4, 2, 3]);
@@ -70,4 +71,54 @@ fn what_cannot_be_asked_is_refused_with_what_can() {
     assert_eq!(refused(Asked { points: Some(0), ..Asked::default() }).what, "points is 0");
     assert!(refused(Asked { from: Some(2.0), to: Some(1.0), ..Asked::default() }).what.contains("from 2 to 1"));
     assert!(refused(Asked { from: Some(f64::NAN), ..Asked::default() }).what.contains("NaN"));
+}
+
+#[test]
+fn what_lies_before_is_asked_of_the_history_and_put_before() {
+    let mut store = demo();
+    for second in 1_000..1_100 {
+        store.handle(parameter("storey-1", second * SECOND, 1.0, 0.25));
+    }
+    let asked = |from: f64| Asked {
+        series: Some("parameter/storey-1".into()),
+        from: Some(from),
+        to: Some(1_100.0),
+        points: Some(100),
+        ..Asked::default()
+    };
+    let read = |store: &Store, from| read(store, &Request::new(&asked(from), store).unwrap());
+    assert_eq!(read(&store, 0.0).1, [], "nobody to ask");
+    store.handle(Input::Present([(Service::History, crate::testing::name("history"))].into()));
+    assert_eq!(read(&store, 1_000.0).1, [], "all of it is here");
+
+    let (mut span, earlier) = read(&store, 0.0);
+    let [earlier] = &earlier[..] else { panic!("{earlier:?}") };
+    assert_eq!((earlier.name.as_str(), earlier.query.kind.as_str()), ("storey-1", "parameter"));
+    assert_eq!((earlier.query.from_ns, earlier.query.to_ns), (0, 1_000 * SECOND - 1));
+    assert_eq!(earlier.query.points + span.series[0].data[0].len(), 100, "as many points as asked for, in all");
+    let column = |value: f64| vec![value; 2];
+    let answer = HistorySpan {
+        structure: crate::testing::name("demo"),
+        kind: "parameter".to_owned(),
+        name: "storey-1".to_owned(),
+        resolution_s: Some(60),
+        kept_from_s: Some(10.0),
+        rows: spandrel_bus::HistoryRows {
+            time_s: vec![59.0, 1_000.0],
+            count: vec![600; 2],
+            mean: column(0.9),
+            std: column(0.02),
+            spread: column(0.0),
+            least: column(0.8),
+            largest: column(1.0),
+            low: column(0.7),
+            high: column(1.1),
+            probability_of_loss: column(0.5),
+        },
+    };
+    span.put_before(earlier, &answer);
+    let data = &span.series[0].data;
+    assert_eq!((data[0][0], data[1][0], data[2][0], data[3][0]), (59.0, 0.9, 0.02, 0.5));
+    assert!(data[0].is_sorted(), "{:?}", data[0]);
+    assert_eq!(span.kept_from_s, Some(10.0));
 }

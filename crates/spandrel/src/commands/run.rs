@@ -1,4 +1,4 @@
-//! `spandrel run`, `ingest`, `identify`, `fuse` and `alert`: services until they are stopped.
+//! `spandrel run`, `ingest`, `identify`, `fuse`, `alert`, `history` and `notify`: services until they are stopped.
 
 use super::print;
 use crate::cli::{PageArguments, ServiceArguments};
@@ -17,13 +17,24 @@ pub struct Services {
     identify: bool,
     fuse: bool,
     alert: bool,
+    history: bool,
+    notify: bool,
     dashboard: bool,
 }
 
 impl Services {
-    const NONE: Self = Self { ingest: false, identify: false, fuse: false, alert: false, dashboard: false };
+    const NONE: Self = Self {
+        ingest: false,
+        identify: false,
+        fuse: false,
+        alert: false,
+        history: false,
+        notify: false,
+        dashboard: false,
+    };
     /// All services of one machine.
-    pub const ALL: Self = Self { ingest: true, identify: true, fuse: true, alert: true, dashboard: true };
+    pub const ALL: Self =
+        Self { ingest: true, identify: true, fuse: true, alert: true, history: true, notify: true, dashboard: true };
     /// The alignment only.
     pub const INGEST: Self = Self { ingest: true, ..Self::NONE };
     /// The identification only.
@@ -32,6 +43,10 @@ impl Services {
     pub const FUSE: Self = Self { fuse: true, ..Self::NONE };
     /// The alerts only.
     pub const ALERT: Self = Self { alert: true, ..Self::NONE };
+    /// The history only.
+    pub const HISTORY: Self = Self { history: true, ..Self::NONE };
+    /// The notices only.
+    pub const NOTIFY: Self = Self { notify: true, ..Self::NONE };
 }
 
 /// Runs services without a page until Ctrl-C or SIGTERM.
@@ -57,6 +72,14 @@ pub fn run(
     if services == Services::FUSE && watched.iter().all(|watched| watched.structure.fusion().is_none()) {
         return Err(AppError::NothingToFuse);
     }
+    let database = if services.history { settings.history.address()? } else { None };
+    if services == Services::HISTORY && database.is_none() {
+        return Err(AppError::NoHistory);
+    }
+    if services == Services::NOTIFY && settings.notify.is_empty() {
+        return Err(AppError::NobodyToTell);
+    }
+    settings.notify.check()?;
     block_on(async {
         let bus = Bus::open(&settings.bus).await?;
         let mut running = Running::new();
@@ -64,6 +87,12 @@ pub fn run(
             serve_page(&mut running, &bus, &watched, &listen, page).await?;
         }
         // downstream first: whoever has a reader when it starts needs to repeat nothing
+        if let Some(address) = &database {
+            running.start_history(&bus, &watched, address, &settings.history.keep).await?;
+        }
+        if services.notify && !settings.notify.is_empty() {
+            running.start_notify(&bus, &watched, &settings.notify).await?;
+        }
         if services.alert {
             running.start_alert(&bus, &watched).await?;
         }

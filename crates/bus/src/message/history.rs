@@ -1,0 +1,117 @@
+//! What the history service keeps, as it answers queries.
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    Acknowledgement, AlertMessage, Event, Format, MAX_ITEMS, Malformed, Message, check_count, check_finite_list,
+    check_text,
+};
+use crate::name::Name;
+
+/// One quantity over time, in rows that each stand for an interval; all columns have the same length.
+///
+/// A row of a parameter stands for the estimates of its interval: `mean` is the average of their means, `std` the root of the
+/// average of their variances, `spread` the standard deviation of their means over the interval, `least` and `largest` the
+/// extremes of their means, `low` and `high` the lowest and highest end of their 95 % intervals, `probability_of_loss` the largest
+/// one. Other kinds have a `mean` only, or `mean` and `std` (zero where there is none).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct HistoryRows {
+    /// Time of the last value in the row, s since the Unix epoch, UTC.
+    pub time_s: Vec<f64>,
+    /// How many values the row stands for.
+    pub count: Vec<u64>,
+    /// Average of the means.
+    pub mean: Vec<f64>,
+    /// Root of the average variance.
+    pub std: Vec<f64>,
+    /// Standard deviation of the means within the interval.
+    pub spread: Vec<f64>,
+    /// Least mean.
+    pub least: Vec<f64>,
+    /// Largest mean.
+    pub largest: Vec<f64>,
+    /// Lowest end of the 95 % intervals.
+    pub low: Vec<f64>,
+    /// Highest end of the 95 % intervals.
+    pub high: Vec<f64>,
+    /// Largest probability of loss; 0 for what has none.
+    pub probability_of_loss: Vec<f64>,
+}
+
+/// The answer to a query for one quantity.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HistorySpan {
+    /// The structure.
+    pub structure: Name,
+    /// `parameter`, `noise`, `outlier`, `class` or `node`.
+    pub kind: String,
+    /// Which one.
+    pub name: String,
+    /// Length of the intervals that were kept, s; none where rows are values as they were displayed.
+    pub resolution_s: Option<u32>,
+    /// Time of the first value that is kept in any resolution, s since the Unix epoch, UTC; none if there is none.
+    pub kept_from_s: Option<f64>,
+    /// The rows, in order of time.
+    pub rows: HistoryRows,
+}
+
+/// The answer to a query for what happened: alerts in all their changes, acknowledgements, events; oldest first.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HistoryLog {
+    /// The structure.
+    pub structure: Name,
+    /// Changes of alerts.
+    pub alerts: Vec<AlertMessage>,
+    /// Who has seen which alert.
+    pub acknowledgements: Vec<Acknowledgement>,
+    /// Restarts, calibrations, faults.
+    pub events: Vec<Event>,
+}
+
+impl Message for HistorySpan {
+    const TYPE: &'static str = "history-span";
+    const VERSION: u16 = 1;
+    const FORMAT: Format = Format::Json;
+
+    fn check(&self) -> Result<(), Malformed> {
+        check_text("kind", &self.kind)?;
+        check_text("name", &self.name)?;
+        let rows = &self.rows;
+        check_count("rows", rows.time_s.len(), 0, MAX_ITEMS)?;
+        let columns = [
+            ("mean", &rows.mean),
+            ("std", &rows.std),
+            ("spread", &rows.spread),
+            ("least", &rows.least),
+            ("largest", &rows.largest),
+            ("low", &rows.low),
+            ("high", &rows.high),
+            ("probability of loss", &rows.probability_of_loss),
+        ];
+        let expected = rows.time_s.len();
+        for (what, found) in
+            columns.iter().map(|(what, column)| (*what, column.len())).chain([("count", rows.count.len())])
+        {
+            if found != expected {
+                return Err(Malformed::Length { what, found, expected });
+            }
+        }
+        check_finite_list("time", &rows.time_s)?;
+        columns.iter().try_for_each(|(what, column)| check_finite_list(what, column))
+    }
+}
+
+impl Message for HistoryLog {
+    const TYPE: &'static str = "history-log";
+    const VERSION: u16 = 1;
+    const FORMAT: Format = Format::Json;
+
+    fn check(&self) -> Result<(), Malformed> {
+        check_count("alerts", self.alerts.len(), 0, MAX_ITEMS)?;
+        check_count("acknowledgements", self.acknowledgements.len(), 0, MAX_ITEMS)?;
+        check_count("events", self.events.len(), 0, MAX_ITEMS)?;
+        self.alerts.iter().try_for_each(Message::check)?;
+        self.acknowledgements.iter().try_for_each(Message::check)?;
+        self.events.iter().try_for_each(Message::check)
+    }
+}

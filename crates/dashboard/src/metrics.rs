@@ -1,0 +1,210 @@
+//! How things stand, for Prometheus: `GET /metrics`.
+
+use crate::overview::overview;
+use crate::sensors::{SensorHealth, sensor_states};
+use crate::server::now_ns;
+use crate::store::Store;
+use prometheus_client::encoding::text::encode;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::registry::Registry;
+use spandrel_bus::AlertState;
+use std::fmt;
+use std::sync::atomic::AtomicU64;
+
+/// What is answered: OpenMetrics, which Prometheus reads.
+pub(crate) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+type Labels = Vec<(&'static str, String)>;
+type Gauges = Family<Labels, Gauge<f64, AtomicU64>>;
+type Counters = Family<Labels, Counter>;
+
+/// All metrics of one answer.
+#[derive(Default)]
+struct Metrics {
+    mean: Gauges,
+    std: Gauges,
+    reference: Gauges,
+    probability: Gauges,
+    noise: Gauges,
+    noise_std: Gauges,
+    alert: Gauges,
+    plausibility: Gauges,
+    rejected: Counters,
+    rejected_share: Gauges,
+    sensor: Gauges,
+    node_distance: Gauges,
+    time: Gauges,
+    age: Gauges,
+    lag: Gauges,
+    done: Counters,
+    dropped: Counters,
+    restarts: Counters,
+    up: Gauges,
+}
+
+/// Writes how all structures stand.
+///
+/// # Errors
+/// None: writing to a text does not fail.
+pub(crate) fn metrics<'s>(
+    stores: impl Iterator<Item = impl std::ops::Deref<Target = Store> + 's>,
+) -> Result<String, fmt::Error> {
+    let metrics = Metrics::default();
+    stores.for_each(|store| metrics.add(&store));
+    let mut text = String::new();
+    encode(&mut text, &metrics.registry())?;
+    Ok(text)
+}
+
+impl Metrics {
+    fn registry(&self) -> Registry {
+        let mut registry = Registry::with_prefix("spandrel");
+        let mut gauge = |name: &str, help: &str, gauges: &Gauges| registry.register(name, help, gauges.clone());
+        gauge("parameter_mean", "Estimate of a parameter, ratio to nominal", &self.mean);
+        gauge("parameter_std", "Standard deviation of the estimate, ratio to nominal", &self.std);
+        gauge("parameter_reference", "What a loss is measured against, ratio to nominal", &self.reference);
+        gauge(
+            "parameter_probability_of_loss",
+            "Probability that more than the loss of its rule is gone",
+            &self.probability,
+        );
+        gauge("noise_variance", "Noise level, a variance in the square of its unit", &self.noise);
+        gauge("noise_variance_std", "Standard deviation of the noise level", &self.noise_std);
+        gauge("alert_state", "1 for the state in which an alert is, 0 for the others", &self.alert);
+        gauge("model_class_plausibility", "Plausibility of a model class", &self.plausibility);
+        gauge(
+            "channel_rejected_share",
+            "Share of rejected samples among the late ones of a channel",
+            &self.rejected_share,
+        );
+        gauge("sensor_alive", "1 if a channel delivers samples that are used", &self.sensor);
+        gauge("node_distance", "Distance of a node that identifies for itself from the others", &self.node_distance);
+        gauge("measured_time_seconds", "Time of the newest value, seconds since the Unix epoch", &self.time);
+        gauge("measured_age_seconds", "Time since something was heard of a structure", &self.age);
+        gauge("lag_seconds", "Wall clock less time of the last frame done, by service", &self.lag);
+        gauge("up", "1 if a service has shown that it is there", &self.up);
+        registry.register("channel_rejected", "Samples of a channel that were rejected", self.rejected.clone());
+        registry.register("frames_done", "Frames, or messages, that a service has done", self.done.clone());
+        registry.register("dropped", "What a service has dropped, by reason", self.dropped.clone());
+        registry.register("restarts", "Restarts of a filter", self.restarts.clone());
+        registry
+    }
+
+    fn add(&self, store: &Store) {
+        let structure = || ("structure", store.about.name.clone());
+        let set = |gauges: &Gauges, key: &'static str, of: &str, value: f64| {
+            gauges.get_or_create(&vec![structure(), (key, of.to_owned())]).set(value);
+        };
+        for (name, display) in &store.parameters {
+            set(&self.mean, "parameter", name, display.mean);
+            set(&self.std, "parameter", name, display.std);
+            set(&self.reference, "parameter", name, display.reference);
+            set(&self.probability, "parameter", name, display.probability_of_loss);
+        }
+        for (name, display) in &store.noise {
+            set(&self.noise, "name", name, display.mean);
+            set(&self.noise_std, "name", name, display.std);
+        }
+        for (parameter, alert) in &store.alerts {
+            for state in [
+                AlertState::Learning,
+                AlertState::Normal,
+                AlertState::Pending,
+                AlertState::Raised,
+                AlertState::Acknowledged,
+                AlertState::Cleared,
+            ] {
+                let labels = vec![structure(), ("parameter", parameter.clone()), ("state", state.as_str().to_owned())];
+                self.alert.get_or_create(&labels).set(f64::from(u8::from(alert.state == state)));
+            }
+        }
+        for class in store.classes.iter().flat_map(|display| &display.classes) {
+            set(&self.plausibility, "class", &class.class, class.plausibility);
+        }
+        for (channel, display) in &store.outliers {
+            set(&self.rejected_share, "channel", channel, display.recent_share);
+            self.rejected.get_or_create(&vec![structure(), ("channel", channel.clone())]).inc_by(display.rejected);
+        }
+        for sensor in sensor_states(store) {
+            let labels = vec![structure(), ("channel", sensor.channel), ("node", sensor.node)];
+            let alive = sensor.health == SensorHealth::Alive;
+            self.sensor.get_or_create(&labels).set(f64::from(u8::from(alive)));
+        }
+        for (node, display) in &store.nodes {
+            set(&self.node_distance, "node", node, display.distance.unwrap_or(f64::NAN));
+        }
+        let whole = vec![structure()];
+        let overview = overview(store);
+        if let Some(time_s) = overview.time_s {
+            self.time.get_or_create(&whole).set(time_s);
+        }
+        if let Some(age_s) = overview.age_s {
+            self.age.get_or_create(&whole).set(age_s);
+        }
+        for (service, id) in &store.seen {
+            let labels = vec![structure(), ("service", service.as_str().to_owned()), ("id", id.to_string())];
+            let is_there = store.present.contains(&(*service, id.clone()));
+            self.up.get_or_create(&labels).set(f64::from(u8::from(is_there)));
+        }
+        for ((service, id), (status, _)) in &store.statuses {
+            let labels = vec![structure(), ("service", service.as_str().to_owned()), ("id", id.to_string())];
+            if let Some(lag_s) = status.lag_s {
+                // the lag grows while nobody says anything
+                let silent_s = now_ns().saturating_sub(status.time_ns) as f64 / 1e9;
+                self.lag.get_or_create(&labels).set(lag_s + silent_s.max(0.0));
+            }
+            self.done.get_or_create(&labels).inc_by(status.done);
+            self.restarts.get_or_create(&labels).inc_by(status.restarts);
+            for (reason, count) in &status.drops {
+                let labels = labels.iter().cloned().chain([("reason", reason.clone())]).collect();
+                self.dropped.get_or_create(&labels).inc_by(*count);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::Input;
+    use crate::testing::{alert, demo, parameter};
+
+    #[test]
+    fn estimates_and_alerts_are_told_in_the_format_of_openmetrics() {
+        let mut store = demo();
+        store.handle(parameter("storey-2", 5_000_000_000, 0.85, 0.997));
+        store.handle(Input::Alert(alert("storey-2", 5_000_000_000, AlertState::Raised)));
+        let text = metrics(std::iter::once(&store)).unwrap();
+        for line in [
+            "spandrel_parameter_mean{structure=\"demo\",parameter=\"storey-2\"} 0.85",
+            "spandrel_parameter_probability_of_loss{structure=\"demo\",parameter=\"storey-2\"} 0.997",
+            "spandrel_alert_state{structure=\"demo\",parameter=\"storey-2\",state=\"raised\"} 1.0",
+            "spandrel_alert_state{structure=\"demo\",parameter=\"storey-2\",state=\"normal\"} 0.0",
+            "spandrel_measured_time_seconds{structure=\"demo\"} 5.0",
+        ] {
+            assert!(text.lines().any(|found| found == line), "{line}\n{text}");
+        }
+        assert!(text.ends_with("# EOF\n"), "{text}");
+    }
+
+    #[test]
+    fn names_of_others_cannot_break_a_line() {
+        let mut store = demo();
+        store.handle(Input::Status(spandrel_bus::Status {
+            structure: crate::testing::name("demo"),
+            service: crate::testing::name("ingest"),
+            id: crate::testing::name("ingest"),
+            time_ns: 0,
+            lag_s: None,
+            done: 1,
+            drops: [("a\"} 1\nspandrel_up 0 #".to_owned(), 3)].into(),
+            restarts: 0,
+            version: String::new(),
+        }));
+        let text = metrics(std::iter::once(&store)).unwrap();
+        assert!(text.contains(r#"reason="a\"} 1\nspandrel_up 0 #"} 3"#), "{text}");
+        assert!(!text.lines().any(|line| line.starts_with("spandrel_up 0")), "{text}");
+    }
+}

@@ -1,0 +1,118 @@
+//! What waits to be written while the database is away: bounded, and what has to go is counted.
+
+use crate::batch::Batch;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Rows that wait at most: about 100 MB, and a quarter of an hour of fifty parameters.
+const MOST_ROWS: usize = 500_000;
+
+/// Batches in the order in which they came.
+#[derive(Debug)]
+pub(crate) struct Backlog {
+    batches: VecDeque<Arc<Batch>>,
+    rows: usize,
+    most_rows: usize,
+    /// Values as displayed that were dropped; their minute, hour and day have them still.
+    pub(crate) dropped_points: u64,
+    /// Whole rows of minutes, hours or days, alerts or events that were dropped.
+    pub(crate) dropped_rows: u64,
+}
+
+impl Default for Backlog {
+    fn default() -> Self {
+        Self::new(MOST_ROWS)
+    }
+}
+
+impl Backlog {
+    pub(crate) fn new(most_rows: usize) -> Self {
+        Self { batches: VecDeque::new(), rows: 0, most_rows, dropped_points: 0, dropped_rows: 0 }
+    }
+
+    /// Rows that wait.
+    pub(crate) fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Adds a batch; if there is no room the oldest values go, then the oldest batches.
+    pub(crate) fn push(&mut self, batch: Batch) {
+        self.rows += batch.rows();
+        self.batches.push_back(Arc::new(batch));
+        let mut place = 0;
+        while self.rows > self.most_rows && place < self.batches.len() {
+            let batch = Arc::make_mut(&mut self.batches[place]);
+            let points = std::mem::take(&mut batch.points).len();
+            self.rows -= points;
+            self.dropped_points += points as u64;
+            place += 1;
+        }
+        while self.rows > self.most_rows {
+            let Some(batch) = self.batches.pop_front() else { return };
+            self.rows -= batch.rows();
+            self.dropped_rows += batch.rows() as u64;
+        }
+    }
+
+    /// The oldest batches, up to about so many rows, and at least one if there is any.
+    pub(crate) fn oldest(&self, rows: usize) -> Vec<Arc<Batch>> {
+        let mut found = Vec::new();
+        let mut sum = 0;
+        for batch in &self.batches {
+            found.push(batch.clone());
+            sum += batch.rows();
+            if sum >= rows {
+                break;
+            }
+        }
+        found
+    }
+
+    /// Forgets the batches up to a number: they are written.
+    pub(crate) fn written(&mut self, number: i64) {
+        while let Some(batch) = self.batches.front().filter(|batch| batch.number <= number) {
+            self.rows -= batch.rows();
+            self.batches.pop_front();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::batch::{Kind, Series};
+    use crate::sums::Sums;
+    use std::collections::BTreeMap;
+
+    /// Ten values and the minute that they belong to.
+    fn batch(number: i64) -> Batch {
+        let series = Series { kind: Kind::Parameter, name: "storey-1".to_owned() };
+        let points = (0..10).map(|k| (series.clone(), number * 10 + k, [1.0, 0.1, 0.0])).collect();
+        let buckets = BTreeMap::from([((series, 60, number), Sums::of(number, [1.0, 0.1, 0.0]))]);
+        Batch { structure: "spandrel/tower".to_owned(), number, points, buckets, happened: Vec::new() }
+    }
+
+    #[test]
+    fn what_waits_is_bounded_and_what_went_is_counted() {
+        let mut backlog = Backlog::new(100);
+        (1..=1_000).for_each(|number| backlog.push(batch(number)));
+        assert!(backlog.rows() <= 100);
+        let kept: usize = backlog.oldest(usize::MAX).iter().map(|batch| batch.rows()).sum();
+        assert_eq!(kept, backlog.rows());
+        assert_eq!(kept as u64 + backlog.dropped_points + backlog.dropped_rows, 11_000);
+        // values go before the minutes that they are part of
+        assert!(backlog.dropped_rows < backlog.dropped_points / 9);
+        assert_eq!(backlog.oldest(usize::MAX).last().map(|batch| batch.number), Some(1_000));
+    }
+
+    #[test]
+    fn batches_leave_in_order_when_they_are_written() {
+        let mut backlog = Backlog::new(1_000);
+        (1..=5).for_each(|number| backlog.push(batch(number)));
+        assert_eq!(backlog.oldest(1).len(), 1);
+        assert_eq!(backlog.oldest(12).len(), 2);
+        backlog.written(3);
+        assert_eq!(backlog.oldest(usize::MAX).iter().map(|batch| batch.number).collect::<Vec<_>>(), [4, 5]);
+        assert_eq!(backlog.rows(), 22);
+    }
+}

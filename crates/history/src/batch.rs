@@ -1,0 +1,185 @@
+//! What is written at once, and how it is gathered from messages.
+
+use crate::sums::Sums;
+use spandrel_bus::{
+    Acknowledgement, AlertMessage, Event, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    ParameterDisplay,
+};
+use spandrel_structure::Structure;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Intervals over which values are put together (s): a minute, an hour, a day.
+pub(crate) const RESOLUTIONS_S: [i64; 3] = [60, 3_600, 86_400];
+/// Series of one structure beside those that its file names: model classes and noise levels.
+const OTHER_SERIES: usize = 256;
+
+const SECOND_NS: i64 = 1_000_000_000;
+
+/// What kind of quantity a series is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) enum Kind {
+    /// A parameter (ratio to nominal) with its standard deviation and probability of loss.
+    Parameter,
+    /// A noise level (variance, unit²) with its standard deviation.
+    Noise,
+    /// Share of rejected samples of a channel among the late ones.
+    Outlier,
+    /// Plausibility of a model class.
+    Class,
+    /// Distance of a node that identifies for itself from the others.
+    Node,
+}
+
+impl Kind {
+    pub(crate) const ALL: [Self; 5] = [Self::Parameter, Self::Noise, Self::Outlier, Self::Class, Self::Node];
+
+    /// The word in queries and in the database.
+    pub(crate) fn as_str(self) -> &'static str {
+        match self {
+            Self::Parameter => "parameter",
+            Self::Noise => "noise",
+            Self::Outlier => "outlier",
+            Self::Class => "class",
+            Self::Node => "node",
+        }
+    }
+}
+
+/// One quantity of one structure.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) struct Series {
+    pub(crate) kind: Kind,
+    pub(crate) name: String,
+}
+
+/// A message that is kept.
+#[derive(Debug)]
+pub(crate) enum Input {
+    Parameter(ParameterDisplay),
+    Noise(NoiseDisplay),
+    Outlier(OutlierDisplay),
+    Classes(ModelClassDisplay),
+    Node(NodeDisplay),
+    Alert(AlertMessage),
+    Acknowledgement(Acknowledgement),
+    Event(Event),
+}
+
+/// What was gathered in about a second, of one structure.
+#[derive(Clone, Debug)]
+pub(crate) struct Batch {
+    /// `root/structure`.
+    pub(crate) structure: String,
+    /// Counts the batches of one life of the service, from 1.
+    pub(crate) number: i64,
+    /// Values as they were displayed: series, time (ns), mean, standard deviation, probability of loss.
+    pub(crate) points: Vec<(Series, i64, [f64; 3])>,
+    /// What these values add to their minute, hour and day: series, resolution (s), start (s).
+    pub(crate) buckets: BTreeMap<(Series, i64, i64), Sums>,
+    /// What happened.
+    pub(crate) happened: Vec<Happened>,
+}
+
+/// Something that happened, with the message that said it.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Happened {
+    Alert(Box<AlertMessage>),
+    Acknowledgement(Acknowledgement),
+    Event(Event),
+}
+
+impl Batch {
+    /// Rows that it takes.
+    pub(crate) fn rows(&self) -> usize {
+        self.points.len() + self.buckets.len() + self.happened.len()
+    }
+}
+
+/// Gathers the messages of one structure.
+#[derive(Debug)]
+pub(crate) struct Collector {
+    structure: String,
+    known: BTreeSet<Series>,
+    others: BTreeSet<Series>,
+    points: Vec<(Series, i64, [f64; 3])>,
+    happened: Vec<Happened>,
+    /// Time of the newest value (ns since the Unix epoch, UTC).
+    pub(crate) newest_ns: Option<i64>,
+    /// Values of quantities that the structure file does not have.
+    pub(crate) unknown: u64,
+}
+
+impl Collector {
+    pub(crate) fn new(structure: &Structure, root: &str) -> Self {
+        let series = |kind, name: &str| Series { kind, name: name.to_owned() };
+        let parameters = structure.parameters().iter().map(|parameter| series(Kind::Parameter, parameter.name()));
+        let nodes = structure.nodes().iter().map(|node| series(Kind::Node, node.name()));
+        let channels = structure.nodes().iter().flat_map(|node| node.channels());
+        let channels = channels.map(|channel| series(Kind::Outlier, channel.name()));
+        Self {
+            structure: format!("{root}/{}", structure.name()),
+            known: parameters.chain(nodes).chain(channels).collect(),
+            others: BTreeSet::new(),
+            points: Vec::new(),
+            happened: Vec::new(),
+            newest_ns: None,
+            unknown: 0,
+        }
+    }
+
+    /// Takes a message.
+    pub(crate) fn handle(&mut self, input: Input) {
+        match input {
+            Input::Parameter(m) => {
+                self.push(Kind::Parameter, m.parameter.as_str(), m.time_ns, [m.mean, m.std, m.probability_of_loss]);
+            }
+            Input::Noise(m) => self.push(Kind::Noise, m.name.as_str(), m.time_ns, [m.mean, m.std, 0.0]),
+            Input::Outlier(m) => self.push(Kind::Outlier, m.channel.as_str(), m.time_ns, [m.recent_share, 0.0, 0.0]),
+            Input::Classes(m) => {
+                for class in &m.classes {
+                    self.push(Kind::Class, &class.class, m.time_ns, [class.plausibility, 0.0, 0.0]);
+                }
+            }
+            Input::Node(m) => {
+                if let Some(distance) = m.distance {
+                    self.push(Kind::Node, m.node.as_str(), m.time_ns, [distance, 0.0, 0.0]);
+                }
+            }
+            Input::Alert(alert) => self.happened.push(Happened::Alert(Box::new(alert))),
+            Input::Acknowledgement(acknowledgement) => self.happened.push(Happened::Acknowledgement(acknowledgement)),
+            Input::Event(event) => self.happened.push(Happened::Event(event)),
+        }
+    }
+
+    fn push(&mut self, kind: Kind, name: &str, time_ns: i64, values: [f64; 3]) {
+        let series = Series { kind, name: name.to_owned() };
+        if !self.known.contains(&series) && !self.others.contains(&series) {
+            let may_come = matches!(kind, Kind::Noise | Kind::Class) && self.others.len() < OTHER_SERIES;
+            if !may_come {
+                self.unknown += 1;
+                return;
+            }
+            self.others.insert(series.clone());
+        }
+        self.newest_ns = self.newest_ns.max(Some(time_ns));
+        self.points.push((series, time_ns, values));
+    }
+
+    /// What has been gathered since the last time; `None` if nothing has.
+    pub(crate) fn take(&mut self, number: i64) -> Option<Batch> {
+        let (points, happened) = (std::mem::take(&mut self.points), std::mem::take(&mut self.happened));
+        if points.is_empty() && happened.is_empty() {
+            return None;
+        }
+        let mut buckets: BTreeMap<(Series, i64, i64), Sums> = BTreeMap::new();
+        for (series, time_ns, values) in &points {
+            let value = Sums::of(*time_ns, *values);
+            for resolution_s in RESOLUTIONS_S {
+                let start_s = time_ns.div_euclid(resolution_s * SECOND_NS) * resolution_s;
+                let bucket = buckets.entry((series.clone(), resolution_s, start_s));
+                bucket.and_modify(|sums| sums.add(&value)).or_insert(value);
+            }
+        }
+        Some(Batch { structure: self.structure.clone(), number, points, buckets, happened })
+    }
+}

@@ -1,0 +1,481 @@
+//! The database: SQLite in a file, or a PostgreSQL server; the same statements for both.
+
+use crate::batch::{Batch, Happened, Kind, RESOLUTIONS_S, Series};
+use crate::error::HistoryError;
+use crate::settings::{Address, Keep};
+use crate::sums::{Sums, rows};
+use spandrel_bus::{HistoryLog, HistorySpan, Name, SpanQuery};
+use sqlx::any::{AnyPoolOptions, AnyRow, install_default_drivers};
+use sqlx::migrate::{MigrateError, Migration, MigrationType, Migrator};
+use sqlx::{AnyConnection, AnyPool, AssertSqlSafe, Executor, Row, SqlSafeStr};
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::fmt::Write as _;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::{Mutex, OnceCell};
+
+/// Connections at most: one writes, the others answer.
+const CONNECTIONS: u32 = 4;
+/// Time for the database to answer a call for a connection.
+const CONNECT_WITHIN: Duration = Duration::from_secs(5);
+/// Rows of one statement.
+const ROWS_AT_ONCE: usize = 100;
+/// Rows that an answer is made from at most; with more, a coarser resolution answers.
+const MOST_ROWS: i64 = 50_000;
+/// Interval of displayed values (ns): ten a second.
+const DISPLAY_NS: i64 = 100_000_000;
+const SECOND_NS: i64 = 1_000_000_000;
+
+/// What is kept, in a file or on a server; cloning is cheap.
+#[derive(Clone, Debug)]
+pub(crate) struct Database {
+    pool: AnyPool,
+    address: Address,
+    migrated: Arc<OnceCell<()>>,
+    /// Numbers of the series that are known to be there.
+    numbers: Arc<Mutex<HashMap<(String, Series), i64>>>,
+}
+
+impl Database {
+    /// Prepares the connection; nothing is opened yet.
+    pub(crate) fn new(address: &Address) -> Result<Self, HistoryError> {
+        install_default_drivers();
+        let is_file = matches!(address, Address::Sqlite(_));
+        let options = AnyPoolOptions::new().max_connections(CONNECTIONS).acquire_timeout(CONNECT_WITHIN).after_connect(
+            move |connection, _| {
+                Box::pin(async move {
+                    if is_file {
+                        // readers see the last written state while the next one is written; a crash of the machine may lose
+                        // the last seconds, never the file
+                        connection.execute("PRAGMA journal_mode = WAL").await?;
+                        connection.execute("PRAGMA synchronous = NORMAL").await?;
+                        connection.execute("PRAGMA busy_timeout = 5000").await?;
+                    }
+                    Ok(())
+                })
+            },
+        );
+        let pool = options.connect_lazy(&address.url()).map_err(|source| database_error(address, source))?;
+        Ok(Self { pool, address: address.clone(), migrated: Arc::default(), numbers: Arc::default() })
+    }
+
+    fn error(&self, source: sqlx::Error) -> HistoryError {
+        database_error(&self.address, source)
+    }
+
+    /// Brings the tables to the version of this program, once.
+    pub(crate) async fn ready(&self) -> Result<(), HistoryError> {
+        let migrate = || async {
+            let sql = match self.address {
+                Address::Sqlite(_) => include_str!("../migrations/sqlite-1.sql"),
+                Address::Postgres(_) => include_str!("../migrations/postgres-1.sql"),
+            };
+            let first = Migration::new(1, Cow::Borrowed("history"), MigrationType::Simple, sql.into_sql_str(), false);
+            let migrated = Migrator::with_migrations(vec![first]).run(&self.pool).await;
+            migrated.map_err(|source| match source {
+                MigrateError::Execute(source) => self.error(source),
+                source => HistoryError::Version { database: self.address.to_string(), source },
+            })
+        };
+        self.migrated.get_or_try_init(migrate).await.copied()
+    }
+
+    /// Writes batches, all or none; what an earlier attempt of the same life has written is left out.
+    pub(crate) async fn write(&self, life: &str, batches: &[Arc<Batch>]) -> Result<(), HistoryError> {
+        let Some(last) = batches.last() else { return Ok(()) };
+        self.ready().await?;
+        let mut numbers = self.numbers.lock().await;
+        let mut transaction = self.pool.begin().await.map_err(|source| self.error(source))?;
+        let mut found = HashMap::new();
+        let written = write_all(&mut transaction, &numbers, &mut found, life, batches, last.number).await;
+        match written {
+            Ok(()) => {}
+            Err(Failed::Database(source)) => return Err(self.error(source)),
+            Err(Failed::Message(source)) => return Err(source.into()),
+        }
+        transaction.commit().await.map_err(|source| self.error(source))?;
+        numbers.extend(found);
+        Ok(())
+    }
+
+    /// Reads one quantity of a structure (`root/structure`) over a span of time.
+    pub(crate) async fn span(
+        &self,
+        structure: &str,
+        name: &Name,
+        of: &Series,
+        query: &SpanQuery,
+    ) -> Result<HistorySpan, HistoryError> {
+        self.ready().await?;
+        let read = self.read_span(structure, of, query).await.map_err(|source| self.error(source))?;
+        let (resolution_s, kept_from_s, values) = read.unwrap_or((None, None, Vec::new()));
+        Ok(HistorySpan {
+            structure: name.clone(),
+            kind: of.kind.as_str().to_owned(),
+            name: of.name.clone(),
+            resolution_s,
+            kept_from_s,
+            rows: rows(&values, query.points),
+        })
+    }
+
+    /// Finds the series, then the finest resolution that reaches as far back as is asked for in not too many rows.
+    async fn read_span(
+        &self,
+        structure: &str,
+        of: &Series,
+        query: &SpanQuery,
+    ) -> Result<Option<(Option<u32>, Option<f64>, Vec<Sums>)>, sqlx::Error> {
+        let found = sqlx::query("SELECT id FROM series WHERE structure = $1 AND kind = $2 AND name = $3")
+            .bind(structure.to_owned())
+            .bind(of.kind.as_str())
+            .bind(of.name.clone())
+            .fetch_optional(&self.pool)
+            .await?;
+        let Some(id) = found.map(|row| row.try_get::<i64, _>(0)).transpose()? else { return Ok(None) };
+        let points_from = first(
+            sqlx::query("SELECT time_ns FROM point WHERE series = $1 ORDER BY time_ns LIMIT 1").bind(id),
+            &self.pool,
+        )
+        .await?;
+        // one entry each: interval (ns), first time (ns), resolution (s), finest first
+        let mut kept = Vec::new();
+        kept.extend(points_from.map(|from_ns| (DISPLAY_NS, from_ns, None)));
+        for resolution_s in RESOLUTIONS_S {
+            let statement =
+                "SELECT start_s FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER BY start_s LIMIT 1";
+            let start_s = first(sqlx::query(statement).bind(id).bind(resolution_s), &self.pool).await?;
+            kept.extend(start_s.map(|s| (resolution_s * SECOND_NS, s.saturating_mul(SECOND_NS), Some(resolution_s))));
+        }
+        let Some(oldest) = kept.iter().min_by_key(|(_, from_ns, _)| *from_ns).copied() else { return Ok(None) };
+        let last_ns = self.newest_ns(id).await?.unwrap_or(i64::MAX).min(query.to_ns);
+        let wanted_ns = query.from_ns.max(oldest.1);
+        let fits = |(step_ns, from_ns, _): &&(i64, i64, Option<i64>)| {
+            let rows = last_ns.saturating_sub(wanted_ns.max(*from_ns)) / step_ns;
+            *from_ns <= wanted_ns.saturating_add(*step_ns) && rows <= MOST_ROWS
+        };
+        let (_, _, resolution_s) = *kept.iter().find(fits).unwrap_or(kept.last().unwrap_or(&oldest));
+        let values = match resolution_s {
+            None => self.read_points(id, query).await?,
+            Some(resolution_s) => self.read_buckets(id, resolution_s, query).await?,
+        };
+        let kept_from_s = (oldest.1 as f64) / 1e9;
+        Ok(Some((resolution_s.and_then(|s| u32::try_from(s).ok()), Some(kept_from_s), values)))
+    }
+
+    /// Time of the newest value of a series (ns).
+    async fn newest_ns(&self, id: i64) -> Result<Option<i64>, sqlx::Error> {
+        let statement =
+            "SELECT last_ns FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER BY start_s DESC LIMIT 1";
+        first(sqlx::query(statement).bind(id).bind(RESOLUTIONS_S[RESOLUTIONS_S.len() - 1]), &self.pool).await
+    }
+
+    async fn read_points(&self, id: i64, query: &SpanQuery) -> Result<Vec<Sums>, sqlx::Error> {
+        let statement = "SELECT time_ns, mean, std, probability FROM point \
+                         WHERE series = $1 AND time_ns >= $2 AND time_ns <= $3 ORDER BY time_ns LIMIT $4";
+        let found = sqlx::query(statement)
+            .bind(id)
+            .bind(query.from_ns)
+            .bind(query.to_ns)
+            .bind(2 * MOST_ROWS)
+            .fetch_all(&self.pool)
+            .await?;
+        let sums = |row: &AnyRow| -> Result<Sums, sqlx::Error> {
+            Ok(Sums::of(row.try_get(0)?, [row.try_get(1)?, row.try_get(2)?, row.try_get(3)?]))
+        };
+        found.iter().map(sums).collect()
+    }
+
+    async fn read_buckets(&self, id: i64, resolution_s: i64, query: &SpanQuery) -> Result<Vec<Sums>, sqlx::Error> {
+        let statement = "SELECT last_ns, count, mean_sum, square_sum, variance_sum, least, largest, low, high, probability \
+                         FROM bucket WHERE series = $1 AND resolution_s = $2 AND start_s > $3 AND start_s <= $4 \
+                         ORDER BY start_s LIMIT $5";
+        let found = sqlx::query(statement)
+            .bind(id)
+            .bind(resolution_s)
+            // an interval that begins before the span and reaches into it belongs to it
+            .bind((query.from_ns.div_euclid(SECOND_NS)).saturating_sub(resolution_s))
+            .bind(query.to_ns.div_euclid(SECOND_NS))
+            .bind(2 * MOST_ROWS)
+            .fetch_all(&self.pool)
+            .await?;
+        let sums = |row: &AnyRow| -> Result<Sums, sqlx::Error> {
+            Ok(Sums {
+                last_ns: row.try_get(0)?,
+                count: row.try_get(1)?,
+                mean_sum: row.try_get(2)?,
+                square_sum: row.try_get(3)?,
+                variance_sum: row.try_get(4)?,
+                least: row.try_get(5)?,
+                largest: row.try_get(6)?,
+                low: row.try_get(7)?,
+                high: row.try_get(8)?,
+                probability: row.try_get(9)?,
+            })
+        };
+        found.iter().map(sums).collect()
+    }
+
+    /// Reads what happened in a span of time: the newest `query.points` of it, oldest first.
+    pub(crate) async fn log(
+        &self,
+        structure: &str,
+        name: &Name,
+        query: &SpanQuery,
+    ) -> Result<HistoryLog, HistoryError> {
+        self.ready().await?;
+        let statement = "SELECT kind, message FROM happened WHERE structure = $1 AND time_ns >= $2 AND time_ns <= $3 \
+                         ORDER BY time_ns DESC LIMIT $4";
+        let found = sqlx::query(statement)
+            .bind(structure.to_owned())
+            .bind(query.from_ns)
+            .bind(query.to_ns)
+            .bind(i64::try_from(query.points).unwrap_or(i64::MAX))
+            .fetch_all(&self.pool)
+            .await
+            .map_err(|source| self.error(source))?;
+        let mut log = HistoryLog {
+            structure: name.clone(),
+            alerts: Vec::new(),
+            acknowledgements: Vec::new(),
+            events: Vec::new(),
+        };
+        for row in found.iter().rev() {
+            let text = |column: usize| row.try_get::<String, _>(column).map_err(|source| self.error(source));
+            let (kind, message) = (text(0)?, text(1)?);
+            match kind.as_str() {
+                "alert" => log.alerts.push(serde_json::from_str(&message)?),
+                "acknowledgement" => log.acknowledgements.push(serde_json::from_str(&message)?),
+                _ => log.events.push(serde_json::from_str(&message)?),
+            }
+        }
+        Ok(log)
+    }
+
+    /// Forgets what is older than its resolution is kept, as seen from the newest value of a structure.
+    pub(crate) async fn prune(&self, structure: &str, newest_ns: i64, keep: &Keep) -> Result<(), HistoryError> {
+        self.ready().await?;
+        let before = |keep_s: Option<u64>| {
+            let keep_ns = i64::try_from(keep_s?).ok()?.checked_mul(SECOND_NS)?;
+            newest_ns.checked_sub(keep_ns)
+        };
+        let of_structure = "series IN (SELECT id FROM series WHERE structure = $1)";
+        if let Some(before_ns) = before(keep.display_s) {
+            let statement = format!("DELETE FROM point WHERE {of_structure} AND time_ns < $2");
+            let delete = sqlx::query(AssertSqlSafe(statement)).bind(structure.to_owned()).bind(before_ns);
+            delete.execute(&self.pool).await.map_err(|source| self.error(source))?;
+        }
+        for (resolution_s, keep_s) in RESOLUTIONS_S.into_iter().zip([keep.minute_s, keep.hour_s, keep.day_s]) {
+            let Some(before_ns) = before(keep_s) else { continue };
+            let statement = format!("DELETE FROM bucket WHERE {of_structure} AND resolution_s = $2 AND start_s < $3");
+            let delete = sqlx::query(AssertSqlSafe(statement)).bind(structure.to_owned()).bind(resolution_s);
+            let delete = delete.bind(before_ns.div_euclid(SECOND_NS));
+            delete.execute(&self.pool).await.map_err(|source| self.error(source))?;
+        }
+        if let Some(before_ns) = before(keep.log_s) {
+            let delete = sqlx::query("DELETE FROM happened WHERE structure = $1 AND time_ns < $2");
+            let delete = delete.bind(structure.to_owned()).bind(before_ns);
+            delete.execute(&self.pool).await.map_err(|source| self.error(source))?;
+        }
+        Ok(())
+    }
+
+    /// Closes all connections.
+    pub(crate) async fn close(&self) {
+        self.pool.close().await;
+    }
+}
+
+fn database_error(address: &Address, source: sqlx::Error) -> HistoryError {
+    HistoryError::Database { database: address.to_string(), source }
+}
+
+/// The first column of the first row, a whole number.
+async fn first<'q>(
+    query: sqlx::query::Query<'q, sqlx::Any, <sqlx::Any as sqlx::Database>::Arguments>,
+    pool: &AnyPool,
+) -> Result<Option<i64>, sqlx::Error> {
+    query.fetch_optional(pool).await?.map(|row| row.try_get(0)).transpose()
+}
+
+enum Failed {
+    Database(sqlx::Error),
+    Message(serde_json::Error),
+}
+
+impl From<sqlx::Error> for Failed {
+    fn from(source: sqlx::Error) -> Self {
+        Self::Database(source)
+    }
+}
+
+impl From<serde_json::Error> for Failed {
+    fn from(source: serde_json::Error) -> Self {
+        Self::Message(source)
+    }
+}
+
+async fn write_all(
+    connection: &mut AnyConnection,
+    numbers: &HashMap<(String, Series), i64>,
+    found: &mut HashMap<(String, Series), i64>,
+    life: &str,
+    batches: &[Arc<Batch>],
+    last: i64,
+) -> Result<(), Failed> {
+    let written = sqlx::query("SELECT batch FROM writer WHERE id = $1")
+        .bind(life.to_owned())
+        .fetch_optional(&mut *connection)
+        .await?;
+    let written: i64 = written.map(|row| row.try_get(0)).transpose()?.unwrap_or(0);
+    for batch in batches.iter().filter(|batch| batch.number > written) {
+        let series =
+            batch.points.iter().map(|(series, ..)| series).chain(batch.buckets.keys().map(|(series, ..)| series));
+        for series in series {
+            let key = (batch.structure.clone(), series.clone());
+            if !numbers.contains_key(&key) && !found.contains_key(&key) {
+                let number = number_of(connection, &key.0, series).await?;
+                found.insert(key, number);
+            }
+        }
+        let number = |series: &Series| {
+            let key = (batch.structure.clone(), series.clone());
+            numbers.get(&key).or_else(|| found.get(&key)).copied().unwrap_or_default()
+        };
+        write_points(connection, batch, &number).await?;
+        write_buckets(connection, batch, &number).await?;
+        for happened in &batch.happened {
+            write_happened(connection, &batch.structure, happened).await?;
+        }
+    }
+    let statement =
+        "INSERT INTO writer (id, batch) VALUES ($1, $2) ON CONFLICT (id) DO UPDATE SET batch = excluded.batch";
+    sqlx::query(statement).bind(life.to_owned()).bind(last).execute(connection).await?;
+    Ok(())
+}
+
+/// The number of a series, a new one if it has none.
+async fn number_of(connection: &mut AnyConnection, structure: &str, series: &Series) -> Result<i64, sqlx::Error> {
+    let statement = "INSERT INTO series (id, structure, kind, name) \
+                     SELECT COALESCE(MAX(id), 0) + 1, $1, $2, $3 FROM series WHERE TRUE \
+                     ON CONFLICT (structure, kind, name) DO NOTHING";
+    let (kind, name) = (series.kind.as_str(), series.name.clone());
+    let insert = sqlx::query(statement).bind(structure.to_owned()).bind(kind).bind(name.clone());
+    insert.execute(&mut *connection).await?;
+    let select = sqlx::query("SELECT id FROM series WHERE structure = $1 AND kind = $2 AND name = $3");
+    select.bind(structure.to_owned()).bind(kind).bind(name).fetch_one(connection).await?.try_get(0)
+}
+
+/// `($1, $2), ($3, $4)` for two rows of two columns.
+fn placeholders(rows: usize, columns: usize) -> String {
+    let mut text = String::new();
+    for row in 0..rows {
+        text.push_str(if row == 0 { "(" } else { ", (" });
+        for column in 1..=columns {
+            // writing to a String does not fail
+            let _ = write!(text, "{}${}", if column == 1 { "" } else { ", " }, row * columns + column);
+        }
+        text.push(')');
+    }
+    text
+}
+
+async fn write_points(
+    connection: &mut AnyConnection,
+    batch: &Batch,
+    number: &impl Fn(&Series) -> i64,
+) -> Result<(), sqlx::Error> {
+    for points in batch.points.chunks(ROWS_AT_ONCE) {
+        let statement = format!(
+            "INSERT INTO point (series, time_ns, mean, std, probability) VALUES {} ON CONFLICT DO NOTHING",
+            placeholders(points.len(), 5)
+        );
+        let mut insert = sqlx::query(AssertSqlSafe(statement)).persistent(points.len() == ROWS_AT_ONCE);
+        for (series, time_ns, [mean, std, probability]) in points {
+            insert = insert.bind(number(series)).bind(*time_ns).bind(*mean).bind(*std).bind(*probability);
+        }
+        insert.execute(&mut *connection).await?;
+    }
+    Ok(())
+}
+
+async fn write_buckets(
+    connection: &mut AnyConnection,
+    batch: &Batch,
+    number: &impl Fn(&Series) -> i64,
+) -> Result<(), sqlx::Error> {
+    const COLUMNS: [&str; 13] = [
+        "series",
+        "resolution_s",
+        "start_s",
+        "last_ns",
+        "count",
+        "mean_sum",
+        "square_sum",
+        "variance_sum",
+        "least",
+        "largest",
+        "low",
+        "high",
+        "probability",
+    ];
+    // SQLite and PostgreSQL have other words for the lesser and the larger of two
+    let lesser = |c: &str| format!("{c} = CASE WHEN excluded.{c} < bucket.{c} THEN excluded.{c} ELSE bucket.{c} END");
+    let larger = |c: &str| format!("{c} = CASE WHEN excluded.{c} > bucket.{c} THEN excluded.{c} ELSE bucket.{c} END");
+    let sum = |c: &str| format!("{c} = bucket.{c} + excluded.{c}");
+    let updates: Vec<String> = ["count", "mean_sum", "square_sum", "variance_sum"]
+        .map(sum)
+        .into_iter()
+        .chain(["least", "low"].map(lesser))
+        .chain(["last_ns", "largest", "high", "probability"].map(larger))
+        .collect();
+    let buckets: Vec<_> = batch.buckets.iter().collect();
+    for buckets in buckets.chunks(ROWS_AT_ONCE) {
+        let statement = format!(
+            "INSERT INTO bucket ({}) VALUES {} ON CONFLICT (series, resolution_s, start_s) DO UPDATE SET {}",
+            COLUMNS.join(", "),
+            placeholders(buckets.len(), COLUMNS.len()),
+            updates.join(", ")
+        );
+        let mut insert = sqlx::query(AssertSqlSafe(statement)).persistent(buckets.len() == ROWS_AT_ONCE);
+        for ((series, resolution_s, start_s), sums) in buckets {
+            insert = insert.bind(number(series)).bind(*resolution_s).bind(*start_s).bind(sums.last_ns).bind(sums.count);
+            insert = insert.bind(sums.mean_sum).bind(sums.square_sum).bind(sums.variance_sum);
+            insert = insert.bind(sums.least).bind(sums.largest).bind(sums.low).bind(sums.high).bind(sums.probability);
+        }
+        insert.execute(&mut *connection).await?;
+    }
+    Ok(())
+}
+
+async fn write_happened(connection: &mut AnyConnection, structure: &str, happened: &Happened) -> Result<(), Failed> {
+    let (time_ns, kind, subject, state, message) = match happened {
+        Happened::Alert(m) => {
+            (m.time_ns, "alert", m.parameter.to_string(), m.state.as_str().to_owned(), serde_json::to_string(m)?)
+        }
+        Happened::Acknowledgement(m) => {
+            (m.time_ns, "acknowledgement", m.parameter.to_string(), m.who.clone(), serde_json::to_string(m)?)
+        }
+        Happened::Event(m) => {
+            let kind = serde_json::to_string(&m.kind)?;
+            (m.time_ns, "event", m.subject.clone(), kind, serde_json::to_string(m)?)
+        }
+    };
+    let statement = "INSERT INTO happened (structure, time_ns, kind, subject, state, message) \
+                     VALUES ($1, $2, $3, $4, $5, $6) ON CONFLICT DO NOTHING";
+    let insert = sqlx::query(statement).bind(structure.to_owned()).bind(time_ns).bind(kind).bind(subject);
+    insert.bind(state).bind(message).execute(connection).await?;
+    Ok(())
+}
+
+impl Series {
+    /// The series of a query.
+    pub(crate) fn asked(kind: &str, name: &Name) -> Option<Self> {
+        let kind = Kind::ALL.into_iter().find(|known| known.as_str() == kind)?;
+        Some(Self { kind, name: name.to_string() })
+    }
+}
+
+#[cfg(test)]
+mod tests;

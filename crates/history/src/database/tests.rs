@@ -1,0 +1,260 @@
+use super::*;
+use crate::batch::{Collector, Input};
+use spandrel_bus::{Acknowledgement, AlertMessage, AlertState, CredibleInterval, Event, EventKind, ParameterDisplay};
+use spandrel_structure::Structure;
+use std::path::Path;
+
+const START_NS: i64 = 1_763_730_000 * SECOND_NS;
+const STRUCTURE: &str = "spandrel/demo";
+
+fn demo() -> Structure {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
+    Structure::read(&file).unwrap()
+}
+
+fn name(text: &str) -> Name {
+    Name::new(text).unwrap()
+}
+
+fn parameter(name_of: &str, time_ns: i64, mean: f64) -> Input {
+    Input::Parameter(ParameterDisplay {
+        structure: name("demo"),
+        parameter: name(name_of),
+        time_ns,
+        mean,
+        std: 0.01,
+        interval: CredibleInterval { level: 0.95, low: mean - 0.02, high: mean + 0.02 },
+        probability_of_loss: if mean < 0.9 { 0.99 } else { 0.0 },
+        loss: 0.05,
+        reference: 1.0,
+    })
+}
+
+fn storey_2() -> Series {
+    Series { kind: Kind::Parameter, name: "storey-2".to_owned() }
+}
+
+fn from_s(seconds: i64) -> SpanQuery {
+    SpanQuery { from_ns: START_NS + seconds * SECOND_NS, ..SpanQuery::default() }
+}
+
+/// Ten minutes of storey 2 at 10 Hz, which loses 20 % after five, in batches of one second.
+fn ten_minutes(collector: &mut Collector) -> Vec<Arc<Batch>> {
+    let mut batches = Vec::new();
+    for second in 0..600 {
+        for tenth in 0..10 {
+            let mean = if second < 300 { 1.0 } else { 0.8 };
+            collector.handle(parameter("storey-2", START_NS + (second * 10 + tenth) * DISPLAY_NS, mean));
+        }
+        batches.extend(collector.take(second + 1).map(Arc::new));
+    }
+    batches
+}
+
+async fn file(folder: &Path) -> Database {
+    let database = Database::new(&Address::Sqlite(folder.join("history.sqlite"))).unwrap();
+    database.ready().await.unwrap();
+    database
+}
+
+async fn keeps_and_answers(database: &Database) {
+    let mut collector = Collector::new(&demo(), "spandrel");
+    let batches = ten_minutes(&mut collector);
+    for some in batches.chunks(50) {
+        database.write("life", some).await.unwrap();
+        // the answer was lost: the same is written again
+        database.write("life", some).await.unwrap();
+    }
+    let structure = name("demo");
+    let span =
+        |query: SpanQuery| async move { database.span(STRUCTURE, &name("demo"), &storey_2(), &query).await.unwrap() };
+    let all = span(SpanQuery { points: 20_000, ..SpanQuery::default() }).await;
+    assert_eq!((all.resolution_s, all.rows.time_s.len()), (None, 6_000));
+    assert_eq!(all.kept_from_s, Some(START_NS as f64 / 1e9));
+    let few = span(SpanQuery { points: 4, ..from_s(120) }).await;
+    assert_eq!(few.rows.count.iter().sum::<u64>(), 4_800);
+    assert_eq!(few.rows.mean.first().copied(), Some(1.0));
+    assert_eq!(few.rows.probability_of_loss.last().copied(), Some(0.99));
+
+    // after an hour the values go, their minutes stay
+    let keep = Keep { display_s: Some(60), ..Keep::default() };
+    database.prune(STRUCTURE, START_NS + 600 * SECOND_NS, &keep).await.unwrap();
+    let old = span(SpanQuery::default()).await;
+    assert_eq!((old.resolution_s, old.rows.time_s.len()), (Some(60), 10));
+    assert_eq!(old.rows.count, [600; 10], "nothing is counted twice");
+    let change = old.rows.mean[4] + old.rows.mean[5];
+    assert!((change - 1.8).abs() < 1e-9, "{:?}", old.rows.mean);
+    assert!((old.rows.std[3] - 0.01).abs() < 1e-9 && old.rows.spread[3] < 1e-6);
+    let new = span(from_s(580)).await;
+    assert_eq!((new.resolution_s, new.rows.time_s.len()), (None, 200));
+    // and when the minutes have gone, the hour and the day remain
+    let keep = Keep { display_s: Some(0), minute_s: Some(0), hour_s: None, ..Keep::default() };
+    database.prune(STRUCTURE, START_NS + 100_000 * SECOND_NS, &keep).await.unwrap();
+    let oldest = span(SpanQuery::default()).await;
+    assert_eq!(oldest.resolution_s, Some(3_600));
+    assert_eq!(oldest.rows.count.iter().sum::<u64>(), 6_000);
+    let nothing =
+        database.span(STRUCTURE, &structure, &Series { kind: Kind::Noise, name: "x".into() }, &from_s(0)).await;
+    assert_eq!(nothing.unwrap().kept_from_s, None);
+}
+
+fn alert(seconds: i64, state: AlertState) -> AlertMessage {
+    AlertMessage {
+        structure: name("demo"),
+        parameter: name("storey-2"),
+        time_ns: START_NS + seconds * SECOND_NS,
+        state,
+        since_ns: None,
+        rule_loss: 0.05,
+        rule_credibility: 0.99,
+        credibility: 0.995,
+        loss: Some(0.1),
+        loss_interval: None,
+        mean: 0.9,
+        std: 0.01,
+        reference: Some(1.0),
+        reference_std: None,
+        acknowledged_by: None,
+        why: "storey-2 has lost 10 %".to_owned(),
+    }
+}
+
+async fn keeps_what_happened(database: &Database) {
+    let mut collector = Collector::new(&demo(), "spandrel");
+    let states = [AlertState::Pending, AlertState::Raised, AlertState::Acknowledged, AlertState::Cleared];
+    for (seconds, state) in (0..).zip(states) {
+        collector.handle(Input::Alert(alert(seconds, state)));
+    }
+    let seen = Acknowledgement {
+        structure: name("demo"),
+        parameter: name("storey-2"),
+        time_ns: START_NS + 2 * SECOND_NS,
+        who: "Ada; DROP TABLE happened; --".to_owned(),
+        note: "on my way".to_owned(),
+    };
+    collector.handle(Input::Acknowledgement(seen.clone()));
+    let event = Event {
+        structure: name("demo"),
+        time_ns: START_NS,
+        kind: EventKind::Restart,
+        subject: "filter".to_owned(),
+        what: "restarted".to_owned(),
+        why: "diverged".to_owned(),
+    };
+    collector.handle(Input::Event(event.clone()));
+    let batch = Arc::new(collector.take(1).unwrap());
+    database.write("another-life", std::slice::from_ref(&batch)).await.unwrap();
+    // another life of the service hears the same again
+    database.write("a-third-life", &[batch]).await.unwrap();
+    let log = database.log(STRUCTURE, &name("demo"), &from_s(0)).await.unwrap();
+    assert_eq!(log.alerts.iter().map(|alert| alert.state).collect::<Vec<_>>(), states);
+    assert_eq!((log.acknowledgements, log.events), (vec![seen], vec![event]));
+    let late = database.log(STRUCTURE, &name("demo"), &from_s(3)).await.unwrap();
+    assert_eq!((late.alerts.len(), late.events.len()), (1, 0));
+    let other = database.log("other/demo", &name("demo"), &from_s(0)).await.unwrap();
+    assert!(other.alerts.is_empty(), "another root is another site");
+}
+
+#[tokio::test]
+async fn a_file_keeps_and_answers() {
+    let folder = tempfile::tempdir().unwrap();
+    let database = file(folder.path()).await;
+    keeps_and_answers(&database).await;
+    keeps_what_happened(&database).await;
+    database.close().await;
+    // and it is there for the next life
+    let database = file(folder.path()).await;
+    let log = database.log(STRUCTURE, &name("demo"), &from_s(0)).await.unwrap();
+    assert_eq!(log.alerts.len(), 4);
+}
+
+/// A PostgreSQL server of its own, in a folder of its own, which listens on a socket in there.
+mod server;
+
+#[tokio::test]
+async fn a_server_keeps_and_answers_and_may_be_away() {
+    let Some(mut server) = server::Server::start_or_skip() else { return };
+    let database = Database::new(&Address::Postgres(server.url())).unwrap();
+    keeps_and_answers(&database).await;
+    keeps_what_happened(&database).await;
+    server.stop();
+    let mut collector = Collector::new(&demo(), "spandrel");
+    collector.handle(Input::Alert(alert(10, AlertState::Raised)));
+    let batch = [Arc::new(collector.take(1).unwrap())];
+    let error = database.write("late", &batch).await.unwrap_err();
+    assert!(matches!(error, HistoryError::Database { .. }), "{error:?}");
+    server.start();
+    database.write("late", &batch).await.unwrap();
+    let log = database.log(STRUCTURE, &name("demo"), &from_s(10)).await.unwrap();
+    assert_eq!(log.alerts.len(), 1);
+}
+
+#[tokio::test]
+async fn a_file_that_is_none_of_ours_is_named_and_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("history.sqlite");
+    let text =
+        "a letter, and no database at all; long enough to be taken for one by whoever only looks at its length. "
+            .repeat(20);
+    std::fs::write(&path, &text).unwrap();
+    let database = Database::new(&Address::Sqlite(path.clone())).unwrap();
+    let error = database.ready().await.unwrap_err();
+    assert!(error.to_string().contains("history.sqlite"), "{error}");
+    assert_eq!(std::fs::read_to_string(path).unwrap(), text);
+}
+
+/// Fifty parameters for a month by minute, hour and day, with an hour of values: how large the file gets, and how long a plot takes.
+#[tokio::test]
+#[ignore = "two million rows; its figures are in docs/history.md"]
+#[expect(clippy::disallowed_methods, reason = "it tells how long it took")]
+async fn a_month_of_fifty_parameters() {
+    let folder = tempfile::tempdir().unwrap();
+    let database = file(folder.path()).await;
+    let start = std::time::Instant::now();
+    let month_s = 30 * 86_400;
+    for minute in 0..month_s / 60 {
+        let mut batch = Batch {
+            structure: STRUCTURE.to_owned(),
+            number: minute + 1,
+            points: Vec::new(),
+            buckets: std::collections::BTreeMap::new(),
+            happened: Vec::new(),
+        };
+        for k in 0..50_i64 {
+            let series = Series { kind: Kind::Parameter, name: format!("p-{k}") };
+            let wave = ((minute * 7 + k * 13) as f64).sin();
+            let mut sums = Sums::of(START_NS + minute * 60 * SECOND_NS, [1.0 + 0.01 * wave, 0.01, 0.001]);
+            sums.count = 600;
+            for resolution_s in RESOLUTIONS_S {
+                let at = (START_NS / SECOND_NS + minute * 60).div_euclid(resolution_s) * resolution_s;
+                batch.buckets.insert((series.clone(), resolution_s, at), sums);
+            }
+            if minute >= (month_s - 3_600) / 60 {
+                let times = (0..600).map(|k| START_NS + minute * 60 * SECOND_NS + k * DISPLAY_NS);
+                batch.points.extend(times.map(|time_ns| (series.clone(), time_ns, [1.0 + 0.01 * wave, 0.01, 0.001])));
+            }
+        }
+        database.write("life", &[Arc::new(batch)]).await.unwrap();
+    }
+    let written = start.elapsed();
+    database.close().await;
+    let bytes = std::fs::metadata(folder.path().join("history.sqlite")).unwrap().len();
+    let database = file(folder.path()).await;
+    let series = Series { kind: Kind::Parameter, name: "p-17".to_owned() };
+    let mut slowest = Duration::ZERO;
+    for days in [30, 7, 1] {
+        let start = std::time::Instant::now();
+        let from_ns = START_NS + (month_s - days * 86_400) * SECOND_NS;
+        let query = SpanQuery { from_ns, ..SpanQuery::default() };
+        let span = database.span(STRUCTURE, &name("demo"), &series, &query).await.unwrap();
+        println!(
+            "{days} days: {} rows of {:?} s in {:.0?}",
+            span.rows.time_s.len(),
+            span.resolution_s,
+            start.elapsed()
+        );
+        slowest = slowest.max(start.elapsed());
+    }
+    println!("{:.0} MB, written in {written:.0?}, slowest plot {slowest:.0?}", bytes as f64 / 1e6);
+    assert!(bytes < 1_000_000_000);
+}

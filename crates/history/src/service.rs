@@ -1,0 +1,451 @@
+//! Joins the history to the bus.
+
+use crate::backlog::Backlog;
+use crate::batch::{Batch, Collector, Input, Series};
+use crate::database::Database;
+use crate::error::HistoryError;
+use crate::settings::{Address, Keep};
+use spandrel_bus::{
+    Acknowledgement, AlertMessage, Bus, BusError, DisplayPublisher, Event, Keys, LiveToken, ModelClassDisplay, Name,
+    NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Question, Questions, Service, SpanQuery, Status,
+    Subscription, Topic, parse_key,
+};
+use spandrel_structure::Structure;
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tokio::sync::{Notify, watch};
+use tokio::task::JoinSet;
+use tokio::time::MissedTickBehavior;
+use tracing::{info, warn};
+
+/// How often what has come is taken from the bus.
+const GATHER_EVERY: Duration = Duration::from_millis(50);
+/// How often what was taken is written, and the status put.
+const WRITE_EVERY: Duration = Duration::from_secs(1);
+/// How often what is too old is forgotten.
+const PRUNE_EVERY: Duration = Duration::from_secs(60);
+/// Values that wait to be taken; at full speed the oldest are overwritten and counted.
+const VALUES_WAITING: usize = 16_384;
+/// Alerts and what else must not be missed: far more than come between two looks.
+const ALERTS_WAITING: usize = 4_096;
+/// Queries that wait for an answer.
+const QUESTIONS_WAITING: usize = 64;
+/// Rows of one transaction at most, or a single batch.
+const ROWS_AT_ONCE: usize = 20_000;
+/// Time between attempts when the database does not take what is written: doubled each time, from this to that.
+const RETRY_AFTER: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(15));
+/// Time for the last values to be written after a stop.
+const END_WITHIN: Duration = Duration::from_secs(5);
+/// Time for the alert service to say how its alerts stand.
+const ANSWER_WITHIN: Duration = Duration::from_secs(2);
+
+/// The history of one or more structures.
+#[derive(Debug)]
+pub struct HistoryService {
+    sources: Vec<Source>,
+    database: Database,
+    keep: Keep,
+    waiting: Arc<Waiting>,
+    life: String,
+    id: Name,
+    service: Name,
+    answering: JoinSet<()>,
+    asked: JoinSet<Result<Vec<(String, AlertMessage)>, BusError>>,
+}
+
+/// What waits to be written, shared with whoever writes it.
+#[derive(Debug, Default)]
+struct Waiting {
+    backlog: Mutex<Backlog>,
+    came: Notify,
+    failures: AtomicU64,
+}
+
+impl Waiting {
+    fn backlog(&self) -> MutexGuard<'_, Backlog> {
+        // nothing that panics runs under this lock
+        self.backlog.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What is heard of one structure.
+#[derive(Debug)]
+struct Source {
+    keys: Keys,
+    collector: Collector,
+    parameters: Subscription<ParameterDisplay>,
+    noise: Subscription<NoiseDisplay>,
+    outliers: Subscription<OutlierDisplay>,
+    classes: Subscription<ModelClassDisplay>,
+    nodes: Subscription<NodeDisplay>,
+    alerts: Subscription<AlertMessage>,
+    acknowledgements: Subscription<Acknowledgement>,
+    events: Subscription<Event>,
+    status: DisplayPublisher<Status>,
+    token: LiveToken,
+    taken: u64,
+}
+
+impl HistoryService {
+    /// Opens the database, listens to the bus and shows liveliness tokens; `id` names this instance. A server that does not answer
+    /// yet is tried again; a file that cannot be used is an error.
+    ///
+    /// # Errors
+    /// When the file or its tables cannot be used, or the bus refuses a declaration.
+    pub async fn start(
+        structures: &[(&Structure, Keys)],
+        bus: &Bus,
+        address: &Address,
+        keep: Keep,
+        id: Name,
+    ) -> Result<Self, HistoryError> {
+        if let Address::Sqlite(file) = address
+            && let Some(folder) = file.parent().filter(|folder| !folder.as_os_str().is_empty())
+        {
+            let made = std::fs::create_dir_all(folder);
+            made.map_err(|source| HistoryError::Folder { path: folder.to_owned(), source })?;
+        }
+        let database = Database::new(address)?;
+        match (database.ready().await, address) {
+            (Ok(()), _) => {}
+            (Err(error @ HistoryError::Database { .. }), Address::Postgres(_)) => {
+                warn!(%error, reason = reason(&error), "history waits for its database");
+            }
+            (Err(error), _) => return Err(error),
+        }
+        let mut service = Self {
+            sources: Vec::new(),
+            database,
+            keep,
+            waiting: Arc::default(),
+            life: format!("{}-{}", now_ns(), std::process::id()),
+            service: Name::new(Service::History.as_str())?,
+            id,
+            answering: JoinSet::new(),
+            asked: JoinSet::new(),
+        };
+        for (structure, keys) in structures {
+            service.listen(structure, keys, bus).await?;
+        }
+        info!(database = %address, structures = structures.len(), "history ready");
+        Ok(service)
+    }
+
+    async fn listen(&mut self, structure: &Structure, keys: &Keys, bus: &Bus) -> Result<(), HistoryError> {
+        let source = Source {
+            collector: Collector::new(structure, keys.root().as_str()),
+            parameters: bus.subscribe(keys.all_parameters(), VALUES_WAITING).await?,
+            noise: bus.subscribe(keys.all_noise(), VALUES_WAITING).await?,
+            outliers: bus.subscribe(keys.all_outliers(), VALUES_WAITING).await?,
+            classes: bus.subscribe(keys.model_class(), VALUES_WAITING).await?,
+            nodes: bus.subscribe(keys.all_nodes(), VALUES_WAITING).await?,
+            alerts: bus.subscribe(keys.all_alerts(), ALERTS_WAITING).await?,
+            acknowledgements: bus.subscribe(keys.all_acknowledgements(), ALERTS_WAITING).await?,
+            events: bus.subscribe(keys.event(), ALERTS_WAITING).await?,
+            status: bus.publish_display(keys.status(Service::History, &self.id)).await?,
+            token: bus.announce(keys.live(Service::History, &self.id)).await?,
+            keys: keys.clone(),
+            taken: 0,
+        };
+        let spans = bus.questions(keys.all_history(), QUESTIONS_WAITING).await?;
+        let log = bus.questions(keys.history_log(), QUESTIONS_WAITING).await?;
+        self.answering.spawn(answer_spans(spans, self.database.clone(), keys.clone()));
+        self.answering.spawn(answer_log(log, self.database.clone(), keys.clone()));
+        // what was decided while nobody listened: the last state of each alert is kept by the alert service
+        let (bus, alerts) = (bus.clone(), keys.all_alerts());
+        self.asked.spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
+        self.sources.push(source);
+        Ok(())
+    }
+
+    /// Runs until `stop`; what has been taken by then is still written.
+    ///
+    /// # Errors
+    /// When the bus is closed underneath.
+    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), HistoryError> {
+        let (stopped, stopping) = watch::channel(false);
+        let mut writing = tokio::spawn(write(self.database.clone(), self.waiting.clone(), self.life.clone(), stopping));
+        let mut number = 0;
+        let listened = tokio::select! {
+            listened = self.gather(&mut number) => listened,
+            () = stop => Ok(()),
+        };
+        self.take();
+        self.pass_on(&mut number);
+        stopped.send_replace(true);
+        if tokio::time::timeout(END_WITHIN, &mut writing).await.is_err() {
+            writing.abort();
+            warn!(rows = self.waiting.backlog().rows(), "the database does not take the last values, they are lost");
+        }
+        self.answering.shutdown().await;
+        self.database.close().await;
+        for source in self.sources {
+            source.token.withdraw().await?;
+        }
+        listened
+    }
+
+    /// Takes from the bus and passes on, for ever.
+    async fn gather(&mut self, number: &mut i64) -> Result<(), HistoryError> {
+        let mut gather = tokio::time::interval(GATHER_EVERY);
+        gather.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        let mut pass_on = tokio::time::interval(WRITE_EVERY);
+        pass_on.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        let mut prune = tokio::time::interval(PRUNE_EVERY);
+        let mut pruning = JoinSet::new();
+        loop {
+            tokio::select! {
+                _ = gather.tick() => self.take(),
+                _ = pass_on.tick() => {
+                    self.pass_on(number);
+                    self.put_status().await?;
+                }
+                _ = prune.tick() => if pruning.is_empty() {
+                    pruning.spawn(forget_old(self.database.clone(), self.newest(), self.keep.clone()));
+                },
+                Some(_) = pruning.join_next() => {}
+            }
+        }
+    }
+
+    /// The newest value of each structure, at most as new as the clock on the wall: one wrong time must not push out all others.
+    fn newest(&self) -> Vec<(String, i64)> {
+        let now_ns = now_ns();
+        let newest = self.sources.iter().filter_map(|source| {
+            let structure = format!("{}/{}", source.keys.root(), source.keys.structure());
+            Some((structure, source.collector.newest_ns?.min(now_ns)))
+        });
+        newest.collect()
+    }
+
+    fn take(&mut self) {
+        while let Some(answer) = self.asked.try_join_next() {
+            match answer {
+                Ok(Ok(alerts)) => {
+                    for (key, alert) in alerts {
+                        let of_key = |source: &&mut Source| key == source.keys.alert(&alert.parameter);
+                        if let Some(source) = self.sources.iter_mut().find(of_key) {
+                            source.collector.handle(Input::Alert(alert));
+                        }
+                    }
+                }
+                Ok(Err(error)) => warn!(%error, "cannot ask for the last alerts"),
+                Err(error) => warn!(%error, "question for the last alerts is lost"),
+            }
+        }
+        self.sources.iter_mut().for_each(Source::take);
+    }
+
+    /// Passes what was taken on to whoever writes it.
+    fn pass_on(&mut self, number: &mut i64) {
+        let mut backlog = self.waiting.backlog();
+        for source in &mut self.sources {
+            if let Some(batch) = source.collector.take(*number + 1) {
+                *number += 1;
+                backlog.push(batch);
+            }
+        }
+        drop(backlog);
+        self.waiting.came.notify_one();
+    }
+
+    async fn put_status(&self) -> Result<(), HistoryError> {
+        let time_ns = now_ns();
+        let (points, rows) = {
+            let backlog = self.waiting.backlog();
+            (backlog.dropped_points, backlog.dropped_rows)
+        };
+        let common = [
+            ("dropped-values", points),
+            ("dropped-rows", rows),
+            ("failed-writes", self.waiting.failures.load(Ordering::Relaxed)),
+        ];
+        for source in &self.sources {
+            let mut drops = source.refused();
+            drops.extend(
+                common.iter().filter(|(_, count)| *count > 0).map(|(name, count)| ((*name).to_owned(), *count)),
+            );
+            let status = Status {
+                structure: source.keys.structure().clone(),
+                service: self.service.clone(),
+                id: self.id.clone(),
+                time_ns,
+                lag_s: source.collector.newest_ns.map(|newest_ns| time_ns.saturating_sub(newest_ns) as f64 / 1e9),
+                done: source.taken,
+                drops,
+                restarts: 0,
+                version: env!("CARGO_PKG_VERSION").to_owned(),
+            };
+            source.status.put(&status).await?;
+        }
+        Ok(())
+    }
+}
+
+impl Source {
+    fn take(&mut self) {
+        let root = self.keys.root();
+        let mut inputs = Vec::new();
+        let of_parameter = |m: &ParameterDisplay| Topic::Parameter(m.parameter.clone());
+        inputs.extend(self.parameters.gather(root, |m| Some((&m.structure, of_parameter(m)))).map(Input::Parameter));
+        inputs
+            .extend(self.noise.gather(root, |m| Some((&m.structure, Topic::Noise(m.name.clone())))).map(Input::Noise));
+        let outliers = self.outliers.gather(root, |m| Some((&m.structure, Topic::Outlier(m.channel.clone()))));
+        inputs.extend(outliers.map(Input::Outlier));
+        inputs.extend(self.classes.gather(root, |m| Some((&m.structure, Topic::ModelClass))).map(Input::Classes));
+        inputs.extend(self.nodes.gather(root, |m| Some((&m.structure, Topic::Node(m.node.clone())))).map(Input::Node));
+        let alerts = self.alerts.gather(root, |m| Some((&m.structure, Topic::Alert(m.parameter.clone()))));
+        inputs.extend(alerts.map(Input::Alert));
+        let of_acknowledgement = |m: &Acknowledgement| Topic::Acknowledge(m.parameter.clone());
+        let seen = self.acknowledgements.gather(root, |m| Some((&m.structure, of_acknowledgement(m))));
+        inputs.extend(seen.map(Input::Acknowledgement));
+        inputs.extend(self.events.gather(root, |m| Some((&m.structure, Topic::Event))).map(Input::Event));
+        self.taken += inputs.len() as u64;
+        inputs.into_iter().for_each(|input| self.collector.handle(input));
+    }
+
+    /// Messages that newer ones have pushed out or that were refused, by reason.
+    fn refused(&self) -> BTreeMap<String, u64> {
+        let all = [
+            self.parameters.refused(),
+            self.noise.refused(),
+            self.outliers.refused(),
+            self.classes.refused(),
+            self.nodes.refused(),
+            self.alerts.refused(),
+            self.acknowledgements.refused(),
+            self.events.refused(),
+        ];
+        let mut sum = BTreeMap::new();
+        for (reason, count) in all.into_iter().flatten() {
+            let reason = if reason == "overwritten" { reason.to_owned() } else { format!("refused-{reason}") };
+            *sum.entry(reason).or_default() += count;
+        }
+        if self.collector.unknown > 0 {
+            sum.insert("unknown-quantity".to_owned(), self.collector.unknown);
+        }
+        sum
+    }
+}
+
+/// Writes what waits, oldest first, until there is nothing more and all is stopped.
+async fn write(database: Database, waiting: Arc<Waiting>, life: String, mut stopping: watch::Receiver<bool>) {
+    let mut retry_after = RETRY_AFTER.0;
+    loop {
+        let batches: Vec<Arc<Batch>> = waiting.backlog().oldest(ROWS_AT_ONCE);
+        let Some(last) = batches.last().map(|batch| batch.number) else {
+            if *stopping.borrow() {
+                return;
+            }
+            tokio::select! {
+                () = waiting.came.notified() => {}
+                // a sender that is gone stops as well
+                _ = stopping.changed() => {}
+            }
+            continue;
+        };
+        match database.write(&life, &batches).await {
+            Ok(()) => {
+                waiting.backlog().written(last);
+                if retry_after > RETRY_AFTER.0 {
+                    info!("the database of the history takes what is written again");
+                }
+                retry_after = RETRY_AFTER.0;
+            }
+            Err(error) => {
+                let failures = waiting.failures.fetch_add(1, Ordering::Relaxed) + 1;
+                if failures.is_power_of_two() {
+                    let rows = waiting.backlog().rows();
+                    warn!(%error, reason = reason(&error), rows_waiting = rows, "history not written, it is tried again");
+                }
+                tokio::time::sleep(retry_after).await;
+                retry_after = (2 * retry_after).min(RETRY_AFTER.1);
+            }
+        }
+    }
+}
+
+async fn forget_old(database: Database, newest: Vec<(String, i64)>, keep: Keep) {
+    for (structure, newest_ns) in newest {
+        if let Err(error) = database.prune(&structure, newest_ns, &keep).await {
+            warn!(structure, %error, reason = reason(&error), "old values of the history cannot be removed");
+        }
+    }
+}
+
+async fn answer_spans(questions: Questions, database: Database, keys: Keys) {
+    let structure = format!("{}/{}", keys.root(), keys.structure());
+    while let Some(question) = questions.next().await {
+        let Some((_, Topic::History(name))) = parse_key(keys.root(), question.key_expression()) else {
+            question.refuse("must be for one name, without wildcards").await;
+            continue;
+        };
+        let Some(query) = parse(&question).await else { continue };
+        let Some(series) = Series::asked(&query.kind, &name) else {
+            question.refuse("kind must be parameter, noise, outlier, class or node").await;
+            continue;
+        };
+        match database.span(&structure, keys.structure(), &series, &query).await {
+            Ok(span) => answer(&question, &keys.history(&name), &span).await,
+            Err(error) => refuse(&question, &error).await,
+        }
+    }
+}
+
+async fn answer_log(questions: Questions, database: Database, keys: Keys) {
+    let structure = format!("{}/{}", keys.root(), keys.structure());
+    while let Some(question) = questions.next().await {
+        let Some(query) = parse(&question).await else { continue };
+        match database.log(&structure, keys.structure(), &query).await {
+            Ok(log) => answer(&question, &keys.history_log(), &log).await,
+            Err(error) => refuse(&question, &error).await,
+        }
+    }
+}
+
+async fn parse(question: &Question) -> Option<SpanQuery> {
+    match question.parameters().parse() {
+        Ok(query) => Some(query),
+        Err(error) => {
+            question.refuse(&error.to_string()).await;
+            None
+        }
+    }
+}
+
+async fn answer<M: spandrel_bus::Message>(question: &Question, key: &str, message: &M) {
+    if let Err(error) = question.answer(key, message).await {
+        question.refuse(&error.to_string()).await;
+    }
+}
+
+async fn refuse(question: &Question, error: &HistoryError) {
+    warn!(%error, reason = reason(error), "history cannot answer");
+    question.refuse(&error.to_string()).await;
+}
+
+/// What lies behind an error.
+fn reason(error: &HistoryError) -> String {
+    let mut reason = String::new();
+    let mut source = std::error::Error::source(error);
+    while let Some(error) = source {
+        if !reason.is_empty() {
+            reason.push_str(": ");
+        }
+        reason.push_str(&error.to_string());
+        source = error.source();
+    }
+    reason
+}
+
+fn now_ns() -> i64 {
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "a life of the service, its lag, and what is too old go by the wall clock"
+    )]
+    let now = SystemTime::now();
+    now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64)
+}

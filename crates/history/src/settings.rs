@@ -1,0 +1,146 @@
+//! Where the history is kept, and for how long.
+
+use crate::error::HistoryError;
+use serde::Deserialize;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+const DAY_S: u64 = 86_400;
+
+/// For how long each resolution is kept, s of measurement; none: for ever.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Keep {
+    /// Values as displayed.
+    pub display_s: Option<u64>,
+    /// Minutes.
+    pub minute_s: Option<u64>,
+    /// Hours.
+    pub hour_s: Option<u64>,
+    /// Days.
+    pub day_s: Option<u64>,
+    /// Alerts, acknowledgements and events.
+    pub log_s: Option<u64>,
+}
+
+impl Default for Keep {
+    fn default() -> Self {
+        Self {
+            display_s: Some(3_600),
+            minute_s: Some(92 * DAY_S),
+            hour_s: Some(5 * 366 * DAY_S),
+            day_s: None,
+            log_s: None,
+        }
+    }
+}
+
+/// A database.
+#[derive(Clone, PartialEq, Eq)]
+pub enum Address {
+    /// A file of SQLite.
+    Sqlite(PathBuf),
+    /// A PostgreSQL server, as a URL that may hold a password.
+    Postgres(String),
+}
+
+impl Address {
+    /// Reads what a configuration says.
+    ///
+    /// # Errors
+    /// Something else than a file, `sqlite:FILE` or `postgres://…`.
+    pub fn parse(text: &str) -> Result<Self, HistoryError> {
+        if text.starts_with("postgres://") || text.starts_with("postgresql://") {
+            return Ok(Self::Postgres(text.to_owned()));
+        }
+        let refused = || HistoryError::Address { found: without_password(text) };
+        let path = match text.split_once(':') {
+            Some(("sqlite", path)) => path.strip_prefix("//").unwrap_or(path),
+            Some((scheme, rest)) if rest.starts_with("//") || scheme.contains('=') => return Err(refused()),
+            Some(_) | None => text,
+        };
+        if path.is_empty() || path.contains(['?', '#', '%']) {
+            return Err(refused());
+        }
+        Ok(Self::Sqlite(PathBuf::from(path)))
+    }
+
+    /// Makes a relative file one in a folder.
+    #[must_use]
+    pub fn below(self, folder: &Path) -> Self {
+        match self {
+            Self::Sqlite(path) => Self::Sqlite(folder.join(path)),
+            Self::Postgres(url) => Self::Postgres(url),
+        }
+    }
+
+    /// The address as the driver wants it.
+    pub(crate) fn url(&self) -> String {
+        match self {
+            Self::Sqlite(path) => format!("sqlite://{}?mode=rwc", path.display()),
+            Self::Postgres(url) => url.clone(),
+        }
+    }
+}
+
+/// Of a URL, all but what stands before the host.
+fn without_password(text: &str) -> String {
+    match (text.split_once("://"), text.rsplit_once('@')) {
+        (Some((scheme, _)), Some((_, host))) => format!("{scheme}://…@{host}"),
+        _ => text.to_owned(),
+    }
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Sqlite(path) => write!(f, "{}", path.display()),
+            Self::Postgres(url) => f.write_str(&without_password(url)),
+        }
+    }
+}
+
+impl fmt::Debug for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Address({self})")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_and_servers_are_told_apart() {
+        for (text, path) in [
+            ("history.sqlite", "history.sqlite"),
+            ("sqlite:history.sqlite", "history.sqlite"),
+            ("sqlite:///var/lib/spandrel/history.sqlite", "/var/lib/spandrel/history.sqlite"),
+            ("/var/lib/a:b", "/var/lib/a:b"),
+        ] {
+            assert_eq!(Address::parse(text).unwrap(), Address::Sqlite(path.into()), "{text}");
+        }
+        let server = "postgres://spandrel:secret@db.site:5432/history";
+        assert_eq!(Address::parse(server).unwrap(), Address::Postgres(server.to_owned()));
+        for wrong in ["", "mysql://db/history", "sqlite:", "a.sqlite?mode=ro", "host=db password=secret"] {
+            let error = Address::parse(wrong);
+            assert!(error.is_err() || wrong.contains("host="), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn passwords_are_never_written() {
+        let address = Address::parse("postgres://spandrel:s3cr@t@db.site/history").unwrap();
+        for text in [address.to_string(), format!("{address:?}")] {
+            assert!(!text.contains("s3cr") && text.contains("db.site/history"), "{text}");
+        }
+        let refused = Address::parse("mysql://root:secret@db/history").unwrap_err().to_string();
+        assert!(!refused.contains("secret") && refused.contains("mysql"), "{refused}");
+    }
+
+    #[test]
+    fn a_relative_file_lies_beside_the_configuration() {
+        let file = Address::parse("history.sqlite").unwrap().below("/etc/spandrel".as_ref());
+        assert_eq!(file, Address::Sqlite("/etc/spandrel/history.sqlite".into()));
+    }
+}

@@ -1,0 +1,139 @@
+//! The pages: every link leads somewhere, every page is in the book, and the command line is as the program says.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
+}
+
+/// All pages below a folder.
+fn pages(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        if path.is_dir() && !name.starts_with('.') && name != "target" && name != "vendor" {
+            pages(&path, found);
+        } else if path.extension().is_some_and(|extension| extension == "md") {
+            found.push(path);
+        }
+    }
+}
+
+/// A page without its blocks of code.
+fn prose(text: &str) -> String {
+    let mut is_code = false;
+    let lines = text.lines().filter(|line| {
+        let is_fence = line.trim_start().starts_with("```");
+        is_code ^= is_fence;
+        !is_code && !is_fence
+    });
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+/// What the title of a section is called in a link.
+fn anchor(title: &str) -> String {
+    let text = title.trim().to_lowercase();
+    let kept = text.chars().filter(|c| c.is_alphanumeric() || *c == ' ' || *c == '-' || *c == '_');
+    kept.map(|c| if c == ' ' { '-' } else { c }).collect()
+}
+
+fn anchors(text: &str) -> BTreeSet<String> {
+    let titles = prose(text)
+        .lines()
+        .filter(|line| line.starts_with('#'))
+        .map(|line| anchor(line.trim_start_matches('#')))
+        .collect::<Vec<_>>();
+    titles.into_iter().collect()
+}
+
+/// Targets of links and pictures.
+fn links(text: &str) -> Vec<String> {
+    let text = prose(text);
+    let mut found = Vec::new();
+    for (place, _) in text.match_indices("](") {
+        let rest = &text[place + 2..];
+        if let Some(end) = rest.find(')') {
+            found.push(rest[..end].split(' ').next().unwrap().to_owned());
+        }
+    }
+    found
+}
+
+#[test]
+fn every_link_leads_somewhere() {
+    let mut all = Vec::new();
+    pages(&root(), &mut all);
+    assert!(all.len() > 20, "{all:?}");
+    let mut broken = Vec::new();
+    let mut checked = 0;
+    for page in &all {
+        let text = std::fs::read_to_string(page).unwrap();
+        for link in links(&text) {
+            if link.contains("://") || link.starts_with("mailto:") {
+                continue;
+            }
+            checked += 1;
+            let (file, section) = link.split_once('#').unwrap_or((&link, ""));
+            let target = if file.is_empty() { page.clone() } else { page.parent().unwrap().join(file) };
+            let is_there = match (target.exists(), section) {
+                (is_there, "") => is_there,
+                (false, _) => false,
+                (true, section) => anchors(&std::fs::read_to_string(&target).unwrap()).contains(section),
+            };
+            if !is_there {
+                broken.push(format!("{}: {link}", page.strip_prefix(root()).unwrap().display()));
+            }
+        }
+    }
+    assert!(checked > 100, "{checked} links");
+    assert!(broken.is_empty(), "{}", broken.join("\n"));
+}
+
+#[test]
+fn every_page_is_in_the_book() {
+    let docs = root().join("docs");
+    let mut all = Vec::new();
+    pages(&docs, &mut all);
+    let summary = std::fs::read_to_string(docs.join("SUMMARY.md")).unwrap();
+    let listed: BTreeSet<PathBuf> =
+        links(&summary).into_iter().map(|link| docs.join(link).canonicalize().unwrap()).collect();
+    for page in all.iter().filter(|page| !page.ends_with("SUMMARY.md")) {
+        assert!(listed.contains(page), "{} is not in docs/SUMMARY.md", page.display());
+    }
+}
+
+fn help(arguments: &[&str]) -> String {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
+    command.args(arguments).arg("--help").env("COLUMNS", "100");
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).unwrap();
+    text.lines().map(str::trim_end).collect::<Vec<_>>().join("\n").trim().to_owned()
+}
+
+/// The page as the program says it; `UPDATE_DOCS=1` writes it.
+#[test]
+fn the_command_line_is_as_the_program_says() {
+    let whole = help(&[]);
+    let commands = whole.split("Commands:").nth(1).unwrap().split("Options:").next().unwrap();
+    let names: Vec<&str> = commands.lines().filter_map(|line| line.split_whitespace().next()).collect();
+    let names: Vec<&str> = names.into_iter().filter(|name| *name != "help").collect();
+    assert!(names.contains(&"demo") && names.contains(&"estimate"), "{names:?}");
+    let mut text = format!(
+        "# Command line\n\nWhat `spandrel --help` and `spandrel COMMAND --help` say.\n\n```text\n{whole}\n```\n"
+    );
+    for name in names.iter().filter(|name| name.chars().all(|c| c.is_ascii_lowercase())) {
+        let _ = write!(text, "\n## {name}\n\n```text\n{}\n```\n", help(&[name]));
+    }
+    let path = root().join("docs/command-line.md");
+    if std::env::var_os("UPDATE_DOCS").is_some() {
+        std::fs::write(&path, &text).unwrap();
+    }
+    let found = std::fs::read_to_string(&path).unwrap_or_default();
+    assert!(found == text, "docs/command-line.md is not what the program says: run this test with UPDATE_DOCS=1");
+}

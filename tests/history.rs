@@ -1,0 +1,171 @@
+//! What was, when everything that saw it is gone: the history behind the services, the queries and the page.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+mod support;
+
+use serde_json::Value;
+use spandrel_bus::{AlertState, Bus, HistoryLog, HistorySpan, Name, Service};
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+use support::{DEADLINE, Drops, Process, Site, two_storeys, within};
+
+/// Damage of storey 2 at 40 s; a rule against the design.
+const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
+                       [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 40\nloss = 0.15\n";
+const LENGTH_S: f64 = 100.0;
+
+/// A configuration whose history is in this file.
+fn configuration(site: &Site, database: &Path) -> std::path::PathBuf {
+    let path = site.folder().join("spandrel.toml");
+    std::fs::write(&path, format!("[history]\ndatabase = \"{}\"\n", database.display())).unwrap();
+    path
+}
+
+/// Asks until there is an answer that is accepted: what was just said is written within seconds.
+async fn span(bus: &Bus, site: &Site, parameters: &str, accepted: impl Fn(&HistorySpan) -> bool) -> HistorySpan {
+    let key = site.keys().history(&Name::new("storey-2").unwrap());
+    within("an answer of the history", async {
+        loop {
+            let answers = bus.ask::<HistorySpan>(&format!("{key}?{parameters}"), DEADLINE).await.unwrap();
+            if let Some((_, span)) = answers.into_iter().find(|(_, span)| accepted(span)) {
+                return span;
+            }
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        }
+    })
+    .await
+}
+
+/// One request of the page's interface.
+fn get(address: &str, path: &str) -> Value {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(DEADLINE)).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+    assert!(head.starts_with("HTTP/1.1 200"), "{path}: {answer}");
+    serde_json::from_str(body).unwrap_or_else(|error| panic!("{error}: {body}"))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_is_still_there_when_all_has_been_started_anew() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let configuration = configuration(&site, Path::new("house.sqlite"));
+    let services = Process::start(site.listening("run").arg("--config").arg(&configuration).args(["--http", "none"]));
+    services.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let record = site.simulate(LENGTH_S);
+    site.replay(&record, "max").wait().expect_code(0);
+    let is_whole = |span: &HistorySpan| span.rows.time_s.last().is_some_and(|last| *last > LENGTH_S - 1.0);
+    let before = span(&bus, &site, "points=20000", is_whole).await;
+    assert!(before.rows.mean[..200].iter().all(|mean| (mean - 1.0).abs() < 0.2));
+    assert!((before.rows.mean.last().unwrap() - 0.85).abs() < 0.05, "{:?}", before.rows.mean.last());
+    bus.close().await.unwrap();
+    services.stop().expect_code(0);
+    assert!(site.folder().join("house.sqlite").is_file(), "a relative file lies beside the configuration");
+
+    // another life, in which nothing is measured
+    let history = Process::start(site.listening("history").arg("--config").arg(&configuration));
+    history.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    let after = span(&bus, &site, "points=20000", is_whole).await;
+    assert_eq!(after, before);
+    let minutes = span(&bus, &site, "points=2", |_| true).await;
+    assert_eq!(minutes.rows.count.iter().sum::<u64>(), before.rows.count.iter().sum::<u64>());
+    let logs = bus.ask::<HistoryLog>(&site.keys().history_log(), DEADLINE).await.unwrap();
+    let states: Vec<AlertState> = logs[0]
+        .1
+        .alerts
+        .iter()
+        .filter(|alert| alert.parameter.as_str() == "storey-2")
+        .map(|alert| alert.state)
+        .collect();
+    assert!(states.contains(&AlertState::Pending) && states.contains(&AlertState::Raised), "{states:?}");
+    for refused in ["from=yesterday", "kind=weather", "from=2;to=1"] {
+        let key = site.keys().history(&Name::new("storey-2").unwrap());
+        let answers = bus.ask::<HistorySpan>(&format!("{key}?{refused}"), DEADLINE).await.unwrap();
+        assert!(answers.is_empty(), "{refused}: {answers:?}");
+    }
+
+    // a page that has heard nothing shows it
+    let page = Process::start(site.connecting("dashboard").args(["--http", "127.0.0.1:0"]));
+    page.wait_for_output("address of the page", |said| said.contains("page: http://"));
+    let said = page.output();
+    let address = said.split("page: http://").nth(1).unwrap().split('/').next().unwrap().to_owned();
+    let shown = within("the page has found the history", async {
+        loop {
+            let path = "/api/structures/house/history?series=parameter/storey-2&from=0&to=1000&points=500";
+            let answer = tokio::task::block_in_place(|| get(&address, path));
+            if answer["series"][0]["data"][0].as_array().is_some_and(|times| times.len() > 100) {
+                return answer;
+            }
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        }
+    })
+    .await;
+    let mean = &shown["series"][0]["data"][1];
+    let last = mean.as_array().unwrap().last().unwrap().as_f64().unwrap();
+    assert!((last - before.rows.mean.last().unwrap()).abs() < 0.02, "{last}");
+    assert!(shown["kept_from_s"].as_f64().unwrap() < 10.0);
+    let alerts = get(&address, "/api/alerts?state=raised");
+    assert!(!alerts["changes"].as_array().unwrap().is_empty(), "{alerts}");
+}
+
+/// Without the right to mount a file system of its own the test says that it was skipped.
+fn small_disk(folder: &Path) -> Option<Mounted> {
+    let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", "size=2m", "tmpfs"]).arg(folder).output();
+    if mounted.is_ok_and(|output| output.status.success()) {
+        return Some(Mounted(folder.to_owned()));
+    }
+    let why = "skipped: a small disk cannot be mounted here";
+    assert!(std::env::var_os("REQUIRE_ALL_TESTS").is_none(), "{why}");
+    println!("{why}");
+    None
+}
+
+struct Mounted(std::path::PathBuf);
+
+impl Drop for Mounted {
+    fn drop(&mut self) {
+        // it goes with the machine at the latest
+        let _ = Command::new("umount").arg("-l").arg(&self.0).status();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let disk = site.folder().join("disk");
+    std::fs::create_dir(&disk).unwrap();
+    let Some(_mounted) = small_disk(&disk) else { return };
+    let configuration = configuration(&site, &disk.join("house.sqlite"));
+    let services = Process::start(site.listening("run").arg("--config").arg(&configuration).args(["--http", "none"]));
+    services.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let drops = Drops::watch(&bus, &site.keys()).await;
+    // not a byte is left
+    let filling = disk.join("filling");
+    let mut file = std::fs::File::create(&filling).unwrap();
+    while file.write_all(&[0; 4096]).is_ok() {}
+    let record = site.simulate(LENGTH_S);
+    site.replay(&record, "max").wait().expect_code(0);
+    drops.expect(Service::History, "failed-writes", 2).await;
+    services.wait_for_log("history not written, it is tried again");
+    std::fs::remove_file(&filling).unwrap();
+    let whole =
+        span(&bus, &site, "points=20000", |span| span.rows.time_s.last().is_some_and(|last| *last > LENGTH_S - 1.0))
+            .await;
+    // all of it, from the beginning on
+    assert!(whole.rows.time_s[0] < 1.0, "{:?}", &whole.rows.time_s[..3]);
+    let longest = whole.rows.time_s.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
+    assert!(longest < 0.15, "{longest} s without a value");
+    bus.close().await.unwrap();
+    services.stop().expect_code(0);
+}

@@ -1,0 +1,66 @@
+//! The Python client against running services: what it prints of the present and of the past.
+//!
+//! Needs Python 3 with the package `eclipse-zenoh` (and `matplotlib` for the plot) as `python3`, or as the program in `PYTHON`; without
+//! it the test says that it was skipped, and fails where `REQUIRE_ALL_TESTS` is set.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+mod support;
+
+use std::path::Path;
+use std::process::{Command, Output};
+use support::{Process, Site, two_storeys};
+
+const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
+                       [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
+
+fn python() -> Option<String> {
+    let program = std::env::var("PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let has_packages = Command::new(&program).args(["-c", "import zenoh, matplotlib"]).output();
+    if has_packages.is_ok_and(|output| output.status.success()) {
+        return Some(program);
+    }
+    let why = "skipped: python3 with the packages of clients/python/requirements.txt is not there";
+    assert!(std::env::var_os("REQUIRE_ALL_TESTS").is_none(), "{why}");
+    println!("{why}");
+    None
+}
+
+fn client(python: &str, site: &Site, arguments: &[&str]) -> Command {
+    let mut command = Command::new(python);
+    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../clients/python/watch.py"));
+    let root = site.keys().root().to_string();
+    command.args(["house", "--root", &root, "--connect", site.endpoint()]).args(arguments);
+    command
+}
+
+fn text(output: &Output) -> String {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_script_hears_alerts_and_draws_what_was() {
+    let Some(python) = python() else { return };
+    let site = Site::with(&two_storeys(DAMAGED));
+    let services = Process::start(site.listening("run").args(["--http", "none"]));
+    services.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let record = site.simulate(60.0);
+    let listening = Process::start(&mut client(&python, &site, &["--seconds", "20"]));
+    // a script joins within a moment; what is put before that it does not hear
+    tokio::time::sleep(std::time::Duration::from_secs(3)).await;
+    site.replay(&record, "max").wait().expect_code(0);
+    listening.wait_for_output("alert of storey-2", |said| {
+        said.contains("ALERT storey-2 raised: storey-2 has lost") && said.contains("storey-1 1.0")
+    });
+    let picture = site.folder().join("storey-2.png");
+    let mut past = client(&python, &site, &["--history", "storey-2", "--plot", picture.to_str().unwrap()]);
+    let said = text(&tokio::task::block_in_place(|| past.output().unwrap()));
+    assert!(said.contains("rows of storey-2, resolution as displayed"), "{said}");
+    assert!(said.contains("last 0.8"), "{said}");
+    assert!(std::fs::read(&picture).unwrap().starts_with(b"\x89PNG"));
+    bus.close().await.unwrap();
+    services.stop().expect_code(0);
+}
