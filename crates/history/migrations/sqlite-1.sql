@@ -22,6 +22,7 @@ CREATE TABLE bucket (
   series BIGINT NOT NULL,
   resolution_s BIGINT NOT NULL,
   start_s BIGINT NOT NULL,
+  first_ns BIGINT NOT NULL,
   last_ns BIGINT NOT NULL,
   count BIGINT NOT NULL,
   mean_sum DOUBLE PRECISION NOT NULL,

@@ -86,15 +86,23 @@ impl Database {
         let Some(last) = batches.last() else { return Ok(()) };
         self.ready().await?;
         let mut numbers = self.numbers.lock().await;
-        let mut transaction = self.pool.begin().await.map_err(|source| self.error(source))?;
+        let mut connection = self.pool.acquire().await.map_err(|source| self.error(source))?;
         let mut found = HashMap::new();
-        let written = write_all(&mut transaction, &numbers, &mut found, life, batches, last.number).await;
-        match written {
-            Ok(()) => {}
-            Err(Failed::Database(source)) => return Err(self.error(source)),
-            Err(Failed::Message(source)) => return Err(source.into()),
+        let written = async {
+            connection.execute("BEGIN").await?;
+            write_all(&mut connection, &numbers, &mut found, life, batches, last.number).await?;
+            connection.execute("COMMIT").await?;
+            Ok(())
+        };
+        if let Err(failed) = written.await {
+            // SQLite rolls back by itself when the disk is full, but not after every failure: how a connection stands that has failed
+            // is not known, and what is written on it next might never be committed
+            connection.close_on_drop();
+            return Err(match failed {
+                Failed::Database(source) => self.error(source),
+                Failed::Message(source) => source.into(),
+            });
         }
-        transaction.commit().await.map_err(|source| self.error(source))?;
         numbers.extend(found);
         Ok(())
     }
@@ -144,9 +152,9 @@ impl Database {
         kept.extend(points_from.map(|from_ns| (DISPLAY_NS, from_ns, None)));
         for resolution_s in RESOLUTIONS_S {
             let statement =
-                "SELECT start_s FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER BY start_s LIMIT 1";
-            let start_s = first(sqlx::query(statement).bind(id).bind(resolution_s), &self.pool).await?;
-            kept.extend(start_s.map(|s| (resolution_s * SECOND_NS, s.saturating_mul(SECOND_NS), Some(resolution_s))));
+                "SELECT first_ns FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER BY start_s LIMIT 1";
+            let first_ns = first(sqlx::query(statement).bind(id).bind(resolution_s), &self.pool).await?;
+            kept.extend(first_ns.map(|first_ns| (resolution_s * SECOND_NS, first_ns, Some(resolution_s))));
         }
         let Some(oldest) = kept.iter().min_by_key(|(_, from_ns, _)| *from_ns).copied() else { return Ok(None) };
         let last_ns = self.newest_ns(id).await?.unwrap_or(i64::MAX).min(query.to_ns);
@@ -188,7 +196,7 @@ impl Database {
     }
 
     async fn read_buckets(&self, id: i64, resolution_s: i64, query: &SpanQuery) -> Result<Vec<Sums>, sqlx::Error> {
-        let statement = "SELECT last_ns, count, mean_sum, square_sum, variance_sum, least, largest, low, high, probability \
+        let statement = "SELECT first_ns, last_ns, count, mean_sum, square_sum, variance_sum, least, largest, low, high, probability \
                          FROM bucket WHERE series = $1 AND resolution_s = $2 AND start_s > $3 AND start_s <= $4 \
                          ORDER BY start_s LIMIT $5";
         let found = sqlx::query(statement)
@@ -202,16 +210,17 @@ impl Database {
             .await?;
         let sums = |row: &AnyRow| -> Result<Sums, sqlx::Error> {
             Ok(Sums {
-                last_ns: row.try_get(0)?,
-                count: row.try_get(1)?,
-                mean_sum: row.try_get(2)?,
-                square_sum: row.try_get(3)?,
-                variance_sum: row.try_get(4)?,
-                least: row.try_get(5)?,
-                largest: row.try_get(6)?,
-                low: row.try_get(7)?,
-                high: row.try_get(8)?,
-                probability: row.try_get(9)?,
+                first_ns: row.try_get(0)?,
+                last_ns: row.try_get(1)?,
+                count: row.try_get(2)?,
+                mean_sum: row.try_get(3)?,
+                square_sum: row.try_get(4)?,
+                variance_sum: row.try_get(5)?,
+                least: row.try_get(6)?,
+                largest: row.try_get(7)?,
+                low: row.try_get(8)?,
+                high: row.try_get(9)?,
+                probability: row.try_get(10)?,
             })
         };
         found.iter().map(sums).collect()
@@ -405,10 +414,11 @@ async fn write_buckets(
     batch: &Batch,
     number: &impl Fn(&Series) -> i64,
 ) -> Result<(), sqlx::Error> {
-    const COLUMNS: [&str; 13] = [
+    const COLUMNS: [&str; 14] = [
         "series",
         "resolution_s",
         "start_s",
+        "first_ns",
         "last_ns",
         "count",
         "mean_sum",
@@ -427,7 +437,7 @@ async fn write_buckets(
     let updates: Vec<String> = ["count", "mean_sum", "square_sum", "variance_sum"]
         .map(sum)
         .into_iter()
-        .chain(["least", "low"].map(lesser))
+        .chain(["first_ns", "least", "low"].map(lesser))
         .chain(["last_ns", "largest", "high", "probability"].map(larger))
         .collect();
     let buckets: Vec<_> = batch.buckets.iter().collect();
@@ -440,7 +450,8 @@ async fn write_buckets(
         );
         let mut insert = sqlx::query(AssertSqlSafe(statement)).persistent(buckets.len() == ROWS_AT_ONCE);
         for ((series, resolution_s, start_s), sums) in buckets {
-            insert = insert.bind(number(series)).bind(*resolution_s).bind(*start_s).bind(sums.last_ns).bind(sums.count);
+            insert = insert.bind(number(series)).bind(*resolution_s).bind(*start_s);
+            insert = insert.bind(sums.first_ns).bind(sums.last_ns).bind(sums.count);
             insert = insert.bind(sums.mean_sum).bind(sums.square_sum).bind(sums.variance_sum);
             insert = insert.bind(sums.least).bind(sums.largest).bind(sums.low).bind(sums.high).bind(sums.probability);
         }

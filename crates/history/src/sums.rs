@@ -8,7 +8,9 @@ const HALF_WIDTH: f64 = 1.959_963_984_540_054;
 /// Sums over values of one quantity, each a mean with a standard deviation and a probability of loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Sums {
-    /// Time of the last value (ns since the Unix epoch, UTC).
+    /// Time of the first value (ns since the Unix epoch, UTC).
+    pub(crate) first_ns: i64,
+    /// Time of the last value.
     pub(crate) last_ns: i64,
     pub(crate) count: i64,
     pub(crate) mean_sum: f64,
@@ -25,6 +27,7 @@ impl Sums {
     /// Of one value.
     pub(crate) fn of(time_ns: i64, [mean, std, probability]: [f64; 3]) -> Self {
         Self {
+            first_ns: time_ns,
             last_ns: time_ns,
             count: 1,
             mean_sum: mean,
@@ -40,6 +43,7 @@ impl Sums {
 
     /// Adds other values.
     pub(crate) fn add(&mut self, other: &Self) {
+        self.first_ns = self.first_ns.min(other.first_ns);
         self.last_ns = self.last_ns.max(other.last_ns);
         self.count += other.count;
         self.mean_sum += other.mean_sum;
