@@ -158,6 +158,7 @@ async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
     site.replay(&record, "max").wait().expect_code(0);
     drops.expect(Service::History, "failed-writes", 2).await;
     services.wait_for_log("history not written, it is tried again");
+    drop(file); // as long as it is open its room is not free
     std::fs::remove_file(&filling).unwrap();
     let whole =
         span(&bus, &site, "points=20000", |span| span.rows.time_s.last().is_some_and(|last| *last > LENGTH_S - 1.0))
