@@ -321,16 +321,17 @@ fn cut_all<E>(
                 break;
             }
         };
-        time_ns = row.time_ns;
-        rows_cut += 1;
         let mut blocks = Vec::new();
         cutter.push(row.time_ns, &row.values, &mut blocks);
         if !blocks.is_empty() {
+            // rows are known ahead of their time: what ends with the row before this one is due when that one is
             let rows = std::mem::take(&mut rows_cut);
             if out.send(Batch { time_ns, rows, blocks }).is_err() {
                 return Ok(());
             }
         }
+        time_ns = row.time_ns;
+        rows_cut += 1;
     }
     // What came before an error is good, and has an end like any other.
     let mut blocks = Vec::new();

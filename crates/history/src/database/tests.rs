@@ -212,6 +212,7 @@ async fn a_month_of_fifty_parameters() {
     let database = file(folder.path()).await;
     let start = std::time::Instant::now();
     let month_s = 30 * 86_400;
+    let mut hour = Vec::new();
     for minute in 0..month_s / 60 {
         let mut batch = Batch {
             structure: STRUCTURE.to_owned(),
@@ -234,7 +235,11 @@ async fn a_month_of_fifty_parameters() {
                 batch.points.extend(times.map(|time_ns| (series.clone(), time_ns, [1.0 + 0.01 * wave, 0.01, 0.001])));
             }
         }
-        database.write("life", &[Arc::new(batch)]).await.unwrap();
+        hour.push(Arc::new(batch));
+        if hour.len() == 60 {
+            database.write("life", &hour).await.unwrap();
+            hour.clear();
+        }
     }
     let written = start.elapsed();
     database.close().await;
