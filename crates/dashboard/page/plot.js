@@ -31,7 +31,8 @@ export class Plot {
   constructor(plot, points, span) {
     Object.assign(this, { plot, points, span });
     this.readout = h("p", { class: "readout" });
-    this.holder = h("div", { class: "plot-holder" });
+    const keys = "arrow keys move the crosshair, with shift the span, plus and minus zoom, home goes back to the newest data";
+    this.holder = h("div", { class: "plot-holder", tabindex: "0", role: "application", "aria-label": `${plot.title}: ${keys}`, onkeydown: (event) => this.#key(event) });
     const legend = (plot.legend ?? []).map(({ name, colour }) => {
       const key = h("span", { class: "key", "aria-hidden": "true" });
       key.style.setProperty("--key", `var(${colour})`);
@@ -92,6 +93,42 @@ export class Plot {
     else this.#uplot.setData(data, false);
     this.#uplot.setScale("x", this.span.shown);
     this.#read(this.#uplot.cursor.idx ?? null);
+  }
+
+  /** What the mouse can do, by keyboard. */
+  #key(event) {
+    if (!this.#uplot || event.ctrlKey || event.altKey || event.metaKey) return;
+    const { min, max } = this.span.shown;
+    const direction = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    const factor = { "+": 0.5, "=": 0.5, "-": 2, _: 2 }[event.key];
+    if (direction && event.shiftKey) {
+      const step = 0.25 * direction * (max - min);
+      this.span.fix(min + step, max + step);
+    } else if (direction) {
+      this.#step(direction);
+    } else if (factor) {
+      const data = this.#uplot.data[0];
+      const middle = data[this.#uplot.cursor.idx] ?? (min + max) / 2;
+      this.span.fix(middle - factor * (middle - min), middle + factor * (max - middle));
+    } else if (event.key === "Home") {
+      this.span.live(this.span.length_s);
+    } else {
+      return;
+    }
+    event.preventDefault();
+  }
+
+  /** Moves the crosshair of all plots by one point of this one, within what is seen. */
+  #step(direction) {
+    const u = this.#uplot;
+    const times = u.data[0];
+    const { min, max } = u.scales.x;
+    let index = u.cursor.idx ?? null;
+    if (index === null) index = direction > 0 ? times.findIndex((time) => time >= min) : times.findLastIndex((time) => time <= max);
+    else index += direction;
+    const time = times[index];
+    if (time === undefined || time < min || time > max) return;
+    u.setCursor({ left: u.valToPos(time, "x"), top: u.over.clientHeight / 2 }, true, true);
   }
 
   #see(isSeen) {

@@ -58,7 +58,7 @@ pub struct SensorService {
     progress: Vec<(Service, ProgressWatch)>,
 }
 
-/// Blocks cut together, with the time of the last row read, and the rows read since the batch before.
+/// Blocks cut together, with the time of the last row in them, and the rows since the batch before.
 struct Batch {
     time_ns: i64,
     rows: u64,

@@ -163,6 +163,10 @@ impl Browser {
         let (code, text) = match key {
             "Tab" => (9, ""),
             "Enter" => (13, "\r"),
+            "Home" => (36, ""),
+            "ArrowLeft" => (37, ""),
+            "+" => (187, "+"),
+            "-" => (189, "-"),
             other => panic!("no such key: {other}"),
         };
         for kind in ["keyDown", "keyUp"] {

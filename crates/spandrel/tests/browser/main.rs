@@ -12,6 +12,7 @@
 mod chromium;
 
 use chromium::Browser;
+use serde_json::json;
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
@@ -71,6 +72,8 @@ async fn the_damage_is_seen_the_alert_is_acknowledged_and_a_lost_connection_heal
 
     the_damage_appears(&mut browser, &demo.page).await;
     the_structure_is_drawn_and_plotted(&mut browser).await;
+    plots_are_read_and_zoomed_by_keyboard(&mut browser).await;
+    what_is_seen_is_a_picture_to_take_away(&mut browser).await;
     a_phone_shows_it_without_scrolling_aside(&mut browser).await;
     the_alert_is_acknowledged_by_keyboard(&mut browser).await;
     assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
@@ -125,6 +128,51 @@ async fn the_structure_is_drawn_and_plotted(browser: &mut Browser) {
     let lines = browser.evaluate(csv).await;
     assert!(lines[0].as_str().unwrap().starts_with("time,parameter/storey-2.mean,"), "{}", lines[0]);
     assert!(lines.as_array().unwrap().len() > 100, "the points that are shown: {}", lines.as_array().unwrap().len());
+}
+
+/// One crosshair for all plots, and the keys that move it and the span.
+async fn plots_are_read_and_zoomed_by_keyboard(browser: &mut Browser) {
+    let readout = |plot: &str| format!("document.querySelector('#plot-{plot} .readout').textContent.slice(0, 8)");
+    let (first, second) = (readout("parameter-storey-1"), readout("parameter-storey-2"));
+    browser.evaluate("document.querySelector('#plot-parameter-storey-1').scrollIntoView()").await;
+    browser.wait("both plots", "document.querySelector('#plot-parameter-storey-2 canvas')").await;
+    browser.evaluate("document.querySelector('#plot-parameter-storey-1 .plot-holder').focus()").await;
+    browser.press("Home").await;
+    browser.press("ArrowLeft").await;
+    let newest = browser.evaluate(&first).await;
+    for _ in 0..60 {
+        browser.press("ArrowLeft").await;
+    }
+    browser.wait("an earlier moment", &format!("{first} < '{}'", newest.as_str().unwrap())).await;
+    browser.wait("the same moment in the other plot", &format!("{first} === {second}")).await;
+
+    browser.press("+").await;
+    browser.wait("a span that stays", "!document.querySelector('.ranges .back').hidden").await;
+    let text = "document.querySelector('.range-text').textContent";
+    let zoomed = browser.evaluate(text).await;
+    browser.press("-").await;
+    browser.wait("a longer span", &format!("{text} !== {zoomed}")).await;
+    browser.press("Home").await;
+    browser.wait("the newest data", &format!("{text}.startsWith('newest data')")).await;
+}
+
+async fn what_is_seen_is_a_picture_to_take_away(browser: &mut Browser) {
+    // what the button saves, kept on its way
+    let picture = "(async () => { \
+        const original = URL.createObjectURL; \
+        let name = null; \
+        HTMLAnchorElement.prototype.click = function () { name = this.download; }; \
+        const bytes = await new Promise((resolve) => { \
+            URL.createObjectURL = (blob) => { resolve(blob.arrayBuffer()); return original(blob); }; \
+            document.querySelector('#plot-parameter-storey-2 .files button').dispatchEvent(new MouseEvent('click')); \
+        }); \
+        URL.createObjectURL = original; \
+        delete HTMLAnchorElement.prototype.click; \
+        return { name, head: [...new Uint8Array(bytes).slice(0, 4)], length: bytes.byteLength }; })()";
+    let file = browser.evaluate(picture).await;
+    assert_eq!(file["name"], "demo-parameter-storey-2.png");
+    assert_eq!(file["head"], json!([0x89, 0x50, 0x4e, 0x47]));
+    assert!(file["length"].as_u64().unwrap() > 2_000, "{file}");
 }
 
 async fn a_phone_shows_it_without_scrolling_aside(browser: &mut Browser) {
