@@ -167,6 +167,12 @@ impl ChannelColumn {
         &self.column
     }
 
+    /// The unit that a file which is written can state: that of SI, if the numbers are in it and the quantity is known.
+    pub(crate) fn stated_unit(&self) -> &'static str {
+        let is_si = self.si_from_unit == 1.0 && self.scale == 1.0 && self.offset == 0.0;
+        self.file_unit.filter(|_| is_si).map_or("", Quantity::si_unit)
+    }
+
     /// Takes a number in the file to SI.
     pub(crate) fn si_from_number(&self, number: f64) -> f64 {
         let is_si = self.si_from_unit == 1.0 && self.scale == 1.0 && self.offset == 0.0;

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use crate::{
-    ChannelColumn, ColumnMapping, CsvWriter, McapChannel, McapWriter, RecordError, RecordReader, RecordedChannel, RecordedFile,
-    RecordedRows, resample::resampled,
+    ChannelColumn, ColumnMapping, CsvWriter, McapChannel, McapWriter, RecordError, RecordReader, RecordedChannel,
+    RecordedFile, RecordedRows, resample::resampled,
 };
 
 /// Ends of names of files that can be written.
@@ -44,7 +44,10 @@ impl RecordedFile {
             return Err(RecordError::DeclaredRate { found_hz: rate_hz });
         }
         if let Some(channel) = self.channels().iter().find(|channel| channel.sampling_rate_hz().is_none()) {
-            return Err(RecordError::NoSamplingRate { path: self.path().to_owned(), channel: channel.name().to_owned() });
+            return Err(RecordError::NoSamplingRate {
+                path: self.path().to_owned(),
+                channel: channel.name().to_owned(),
+            });
         }
         let grid_ns = self.channels().iter().filter_map(RecordedChannel::start_ns).min().unwrap_or(0);
         let channels = self.channels().iter().map(|channel| resampled(channel, rate_hz, grid_ns)).collect();
@@ -83,7 +86,10 @@ impl RecordedFile {
 
     fn write_mcap(&self, path: &Path) -> Result<(), RecordError> {
         if let Some(channel) = self.channels().iter().find(|channel| channel.sampling_rate_hz().is_none()) {
-            return Err(RecordError::NoSamplingRate { path: self.path().to_owned(), channel: channel.name().to_owned() });
+            return Err(RecordError::NoSamplingRate {
+                path: self.path().to_owned(),
+                channel: channel.name().to_owned(),
+            });
         }
         let stated = |channel: &RecordedChannel| McapChannel {
             name: channel.name().to_owned(),
@@ -103,7 +109,8 @@ impl RecordedFile {
             .collect();
         // in the order of time, as it was measured; channels in the order of the file where times are the same
         loop {
-            let times = channels.iter_mut().enumerate().filter_map(|(place, (_, samples))| Some((samples.peek()?.0, place)));
+            let times =
+                channels.iter_mut().enumerate().filter_map(|(place, (_, samples))| Some((samples.peek()?.0, place)));
             let Some((_, place)) = times.min() else { break };
             let (factor, samples) = &mut channels[place];
             if let Some((time_ns, sample)) = samples.next() {
@@ -133,7 +140,11 @@ mod tests {
 
     /// Times and bits of all samples that are there.
     fn present(channel: &RecordedChannel) -> Vec<(i64, u64)> {
-        channel.timed_samples().filter(|(_, value)| !value.is_nan()).map(|(time_ns, value)| (time_ns, value.to_bits())).collect()
+        channel
+            .timed_samples()
+            .filter(|(_, value)| !value.is_nan())
+            .map(|(time_ns, value)| (time_ns, value.to_bits()))
+            .collect()
     }
 
     #[test]
@@ -164,7 +175,8 @@ mod tests {
     #[test]
     fn known_units_become_si() {
         let folder = tempfile::tempdir().unwrap();
-        let channel = RecordedChannel::new("a", Some(100.0), vec![Segment::new(0, vec![250.0, -50.0])]).with_unit("cm/sec2");
+        let channel =
+            RecordedChannel::new("a", Some(100.0), vec![Segment::new(0, vec![250.0, -50.0])]).with_unit("cm/sec2");
         let file = RecordedFile::from_channels(Path::new("hall.v2"), Format::Csmip, vec![channel]);
         for name in ["out.csv", "out.mcap"] {
             let path = folder.path().join(name);
@@ -184,8 +196,13 @@ mod tests {
     #[test]
     fn channels_of_several_rates_can_be_written_when_resampled() {
         let folder = tempfile::tempdir().unwrap();
-        let channel = |name, rate_hz, count| RecordedChannel::new(name, Some(rate_hz), vec![Segment::new(0, vec![1.5; count])]);
-        let file = RecordedFile::from_channels(Path::new("x"), Format::Tdms, vec![channel("a", 100.0, 200), channel("b", 60.0, 120)]);
+        let channel =
+            |name, rate_hz, count| RecordedChannel::new(name, Some(rate_hz), vec![Segment::new(0, vec![1.5; count])]);
+        let file = RecordedFile::from_channels(
+            Path::new("x"),
+            Format::Tdms,
+            vec![channel("a", 100.0, 200), channel("b", 60.0, 120)],
+        );
         let path = folder.path().join("out.csv");
         assert!(matches!(file.write(&path), Err(RecordError::UnequalRates { .. })));
         file.resampled(50.0).unwrap().write(&path).unwrap();

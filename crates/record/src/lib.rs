@@ -29,7 +29,7 @@
 //! - [`resample`]: another sampling rate, with a filter against aliasing
 //! - [`recording`]: a file of any format with its sampling rate, and its offsets removed
 //! - [`spectrum`], [`recording_summary`]: what a recording holds
-//! - [`csv_writer`], [`mcap_writer`], [`estimate_writer`], [`convert`]: what is written
+//! - [`csv_writer`], [`mcap_writer`], [`record_writer`], [`estimate_writer`], [`convert`]: what is written
 //!
 //! Samples are neither resampled nor filtered unless that is asked for, and never interpolated: which sample belongs to which frame is the
 //! work of alignment, not of reading.
@@ -49,6 +49,7 @@ pub mod quantity;
 mod rate;
 pub mod record_reader;
 pub mod record_time;
+pub mod record_writer;
 pub mod recorded;
 pub mod recorded_file;
 pub mod recorded_rows;
@@ -70,6 +71,7 @@ pub use format::Format;
 pub use mcap_writer::{McapChannel, McapWriter};
 pub use quantity::Quantity;
 pub use record_reader::{RecordReader, Row};
+pub use record_writer::RecordWriter;
 pub use recorded::{Gap, RecordedChannel, Segment, TimeOrigin};
 pub use recorded_file::{ReadOptions, RecordedFile};
 pub use recorded_rows::RecordedRows;

@@ -13,7 +13,7 @@ use std::{
 use mcap::{WriteOptions, Writer, records::MessageHeader};
 
 use crate::formats::mcap::{VALUE_FIELD, keys};
-use crate::{RecordError, TimeOrigin};
+use crate::{ChannelColumn, ColumnMapping, RecordError, TimeOrigin};
 
 /// Messages after which a chunk is ended and handed to the operating system: what a crash may cost. At 20 channels of
 /// 200 Hz that is a second; compression gains little beyond.
@@ -43,6 +43,7 @@ pub struct McapWriter {
     path: PathBuf,
     writer: Writer<BufWriter<File>>,
     channels: Vec<(u16, u32)>,
+    columns: Vec<ChannelColumn>,
     in_chunk: u32,
     text: String,
 }
@@ -67,7 +68,47 @@ impl McapWriter {
             let number = writer.add_channel(schema, &channel.name, "json", &channel.metadata()).map_err(refused)?;
             numbers.push((number, 0));
         }
-        Ok(Self { path: path.to_owned(), writer, channels: numbers, in_chunk: 0, text: String::new() })
+        Ok(Self {
+            path: path.to_owned(),
+            writer,
+            channels: numbers,
+            columns: Vec::new(),
+            in_chunk: 0,
+            text: String::new(),
+        })
+    }
+
+    /// Creates the file for rows at a rate in Hz, with the columns and units that `mapping` reads; times count from the first row.
+    ///
+    /// # Errors
+    /// The file cannot be created or written.
+    pub fn create_mapped(path: &Path, mapping: &ColumnMapping, rate_hz: f64) -> Result<Self, RecordError> {
+        let stated = |column: &ChannelColumn| McapChannel {
+            name: column.column().to_owned(),
+            unit: column.stated_unit().to_owned(),
+            description: String::new(),
+            sampling_rate_hz: Some(rate_hz),
+            origin: TimeOrigin::Start,
+        };
+        let channels: Vec<McapChannel> = mapping.channels().iter().map(stated).collect();
+        Ok(Self { columns: mapping.channels().to_vec(), ..Self::create(path, &channels)? })
+    }
+
+    /// Writes one row: `time_ns` in ns, and one value per column of the mapping in SI units, `NaN` where it is missing.
+    ///
+    /// # Errors
+    /// The row has the wrong length, or as [`McapWriter::write`].
+    pub fn write_row(&mut self, time_ns: i64, values: &[f64]) -> Result<(), RecordError> {
+        if values.len() != self.columns.len() {
+            let line = 1 + self.channels.first().map_or(0, |(_, sequence)| u64::from(*sequence));
+            let (path, found, expected) = (self.path.clone(), values.len(), self.columns.len());
+            return Err(RecordError::RowLength { path, line, found, expected });
+        }
+        for (place, value) in values.iter().enumerate() {
+            let number = self.columns[place].number_from_si(*value);
+            self.write(place, time_ns, number)?;
+        }
+        Ok(())
     }
 
     /// Writes a sample of the channel at `place` in the list; a missing one (`NaN`) is no message.
@@ -83,7 +124,8 @@ impl McapWriter {
         if value.is_infinite() {
             return Err(refused("the value must be finite, or NaN for missing"));
         }
-        let (channel_id, sequence) = *self.channels.get(place).ok_or_else(|| refused("there must be such a channel"))?;
+        let (channel_id, sequence) =
+            *self.channels.get(place).ok_or_else(|| refused("there must be such a channel"))?;
         if let Some((_, sequence)) = self.channels.get_mut(place) {
             *sequence = sequence.wrapping_add(1);
         }

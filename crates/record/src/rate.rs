@@ -1,5 +1,15 @@
 //! The sampling rate that times tell.
 
+/// Relative difference up to which the inverse of a step is meant to be a whole number of Hz.
+const WHOLE_HZ: f64 = 1e-9;
+
+/// Sampling rate in Hz of a step in s: 50 kHz of 2e-5 s, and not what rounding makes of it.
+pub(crate) fn rate_from_step(step_s: f64) -> f64 {
+    let rate_hz = 1.0 / step_s;
+    let whole_hz = rate_hz.round();
+    if (rate_hz - whole_hz).abs() <= WHOLE_HZ * rate_hz { whole_hz } else { rate_hz }
+}
+
 /// Sampling rate in Hz from times in ns; `None` if there are fewer than two, or they do not increase.
 ///
 /// The median step tells what is a gap (more than half a step off); the mean of the others is the step. The median alone

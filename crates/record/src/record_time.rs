@@ -70,7 +70,8 @@ fn number_to_ns(text: &str, fraction_digits: usize) -> Option<i64> {
         nanoseconds = nanoseconds * 10 + digit;
     }
     let rounds_up = fraction.as_bytes().get(fraction_digits).is_some_and(|byte| *byte >= b'5');
-    let magnitude = whole.checked_mul(10_i64.pow(fraction_digits as u32))?.checked_add(nanoseconds + i64::from(rounds_up))?;
+    let magnitude =
+        whole.checked_mul(10_i64.pow(fraction_digits as u32))?.checked_add(nanoseconds + i64::from(rounds_up))?;
     Some(sign * magnitude)
 }
 
@@ -92,7 +93,8 @@ fn iso_8601_to_ns(text: &str) -> Option<i64> {
 
 /// Nanoseconds since 1970 of a date and time of day in UTC; `None` if there is no such date. A leap second is the next one.
 pub(crate) fn civil_ns(year: i64, month: i64, day: i64, hour: i64, minute: i64, second: f64) -> Option<i64> {
-    let date = jiff::civil::Date::new(i16::try_from(year).ok()?, i8::try_from(month).ok()?, i8::try_from(day).ok()?).ok()?;
+    let date =
+        jiff::civil::Date::new(i16::try_from(year).ok()?, i8::try_from(month).ok()?, i8::try_from(day).ok()?).ok()?;
     ns_of(date, hour, minute, second)
 }
 
@@ -134,7 +136,8 @@ pub fn write_seconds(time_ns: i64, text: &mut String) {
 
 /// `time_ns` since 1970 as a date and time of day in UTC, ISO 8601.
 pub(crate) fn iso_text(time_ns: i64) -> String {
-    Timestamp::from_nanosecond(i128::from(time_ns)).map_or_else(|_| seconds_text(time_ns), |timestamp| timestamp.to_string())
+    Timestamp::from_nanosecond(i128::from(time_ns))
+        .map_or_else(|_| seconds_text(time_ns), |timestamp| timestamp.to_string())
 }
 
 /// `time_ns` in seconds as decimal text.
@@ -173,7 +176,10 @@ mod tests {
     fn numbers_of_smaller_units_are_read_to_the_digit() {
         assert_eq!(TimeForm::Seconds.parse_ns("991011697", TimeUnit::Microseconds), Some(991_011_697_000));
         assert_eq!(TimeForm::Seconds.parse_ns("1.0000005", TimeUnit::Milliseconds), Some(1_000_001));
-        assert_eq!(TimeForm::Seconds.parse_ns("1700000000123456789", TimeUnit::Nanoseconds), Some(1_700_000_000_123_456_789));
+        assert_eq!(
+            TimeForm::Seconds.parse_ns("1700000000123456789", TimeUnit::Nanoseconds),
+            Some(1_700_000_000_123_456_789)
+        );
         assert_eq!(TimeForm::Seconds.parse_ns("0.5", TimeUnit::Nanoseconds), Some(1));
     }
 

@@ -92,7 +92,8 @@ impl RecordedFile {
 
     /// The same recording with the channels of a mapping alone; those that it lacks are found out later.
     pub(crate) fn only(self, mapping: &ColumnMapping) -> Self {
-        let is_mapped = |channel: &RecordedChannel| mapping.channels().iter().any(|column| column.column() == channel.name());
+        let is_mapped =
+            |channel: &RecordedChannel| mapping.channels().iter().any(|column| column.column() == channel.name());
         let channels = match self.channels.iter().any(is_mapped) {
             true => self.channels.iter().filter(|channel| is_mapped(channel)).cloned().collect(),
             false => self.channels.clone(),
@@ -143,7 +144,11 @@ fn read_bytes(bytes: Vec<u8>, path: &Path, options: &ReadOptions, depth: usize) 
             channels
         }
         Format::Gzip | Format::Zip if depth >= DEEPEST => {
-            return Err(refused(Fault::of_file("depth of archives in archives", depth + 1, format!("at most {DEEPEST}"))));
+            return Err(refused(Fault::of_file(
+                "depth of archives in archives",
+                depth + 1,
+                format!("at most {DEEPEST}"),
+            )));
         }
         Format::Gzip => {
             let inner = unpacked(flate2::read::MultiGzDecoder::new(bytes.as_slice()))
@@ -175,8 +180,9 @@ fn zip_members(bytes: &[u8], path: &Path) -> Result<Members, RecordError> {
             continue;
         }
         let name = member.name().map_err(|error| refused(format!("name of file {}", index + 1), error))?.into_owned();
-        let content = unpacked(member)
-            .map_err(|found| fault(&path.join(&name), Format::Zip, Fault::of_file("compressed content", found, "whole")))?;
+        let content = unpacked(member).map_err(|found| {
+            fault(&path.join(&name), Format::Zip, Fault::of_file("compressed content", found, "whole"))
+        })?;
         members.push((name, content));
     }
     Ok(members)

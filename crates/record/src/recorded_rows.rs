@@ -60,7 +60,13 @@ impl RecordedRows {
             let (found_hz, first) = (rate(channel)?, first.unwrap_or(channel));
             if (found_hz - first_rate_hz).abs() > RATE_TOLERANCE * first_rate_hz {
                 let (channel, first) = (channel.name().to_owned(), first.name().to_owned());
-                return Err(RecordError::UnequalRates { path: path(), channel, found_hz, first, first_hz: first_rate_hz });
+                return Err(RecordError::UnequalRates {
+                    path: path(),
+                    channel,
+                    found_hz,
+                    first,
+                    first_hz: first_rate_hz,
+                });
             }
             if channel.origin() != first.origin() {
                 let (channel, first) = (channel.name().to_owned(), first.name().to_owned());
@@ -176,7 +182,10 @@ mod tests {
         let mapping = ColumnMapping::by_name(["a", "b"]);
         let unequal = file(vec![channel("a", 100.0, 0, &[1.0]), channel("b", 200.0, 0, &[1.0])]);
         let told = rows(&unequal, &mapping).unwrap_err().to_string();
-        assert_eq!(told, "hall.mseed: channel `b` is sampled at 200.0000 Hz, must be 100.0000 Hz as `a`; resample them");
+        assert_eq!(
+            told,
+            "hall.mseed: channel `b` is sampled at 200.0000 Hz, must be 100.0000 Hz as `a`; resample them"
+        );
         let dated = channel("b", 100.0, 0, &[1.0]).with_origin(TimeOrigin::Epoch);
         let mixed = file(vec![channel("a", 100.0, 0, &[1.0]), dated]);
         assert!(matches!(rows(&mixed, &mapping), Err(RecordError::UnequalOrigins { .. })));

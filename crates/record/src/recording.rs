@@ -3,8 +3,8 @@
 use std::{collections::VecDeque, fs::File, io::Read, path::Path};
 
 use crate::{
-    ColumnMapping, CsvReader, Format, ReadOptions, RecordError, RecordReader, RecordedFile, RecordedRows, Row, TimeSource,
-    rate::rate_from_times, table_layout::HEAD_BYTES,
+    ColumnMapping, CsvReader, Format, ReadOptions, RecordError, RecordReader, RecordedFile, RecordedRows, Row,
+    TimeSource, rate::rate_from_times, table_layout::HEAD_BYTES,
 };
 
 /// Whether the constant part of each channel is taken away, such as the tilt of an accelerometer.

@@ -102,12 +102,9 @@ impl RecordingSummary {
         }
     }
 
-    /// As one JSON object.
-    ///
-    /// # Errors
-    /// None: all fields are numbers, texts and lists.
-    pub fn json(&self) -> Result<String, serde_json::Error> {
-        serde_json::to_string_pretty(self).map(|text| text + "\n")
+    /// As one JSON object; numbers that are not finite are null.
+    pub fn json(&self) -> String {
+        format!("{:#}\n", serde_json::json!(self))
     }
 }
 
@@ -133,7 +130,12 @@ impl ChannelSummary {
             missing: gaps.iter().map(|gap| gap.samples).sum(),
             gaps: gaps.iter().map(|gap| GapSummary { after_s: after_s(gap.after_ns), samples: gap.samples }).collect(),
             statistics: Statistics::of(channel),
-            spectral_peaks: Spectrum::of(channel).map(|spectrum| spectrum.peaks()).unwrap_or_default().into_iter().map(peak).collect(),
+            spectral_peaks: Spectrum::of(channel)
+                .map(|spectrum| spectrum.peaks())
+                .unwrap_or_default()
+                .into_iter()
+                .map(peak)
+                .collect(),
         }
     }
 }
@@ -181,7 +183,9 @@ impl fmt::Display for ChannelSummary {
         }
         let samples = || counted(self.samples, "sample");
         match (self.sampling_rate_hz, self.span_s) {
-            (Some(rate_hz), Some(span_s)) => write!(formatter, "  {} at {} Hz, {span_s:.3} s", samples(), rounded(rate_hz))?,
+            (Some(rate_hz), Some(span_s)) => {
+                write!(formatter, "  {} at {} Hz, {span_s:.3} s", samples(), rounded(rate_hz))?
+            }
             (_, _) => write!(formatter, "  {}, sampling rate not stated", samples())?,
         }
         match (self.start_ns, self.is_dated) {
@@ -190,7 +194,8 @@ impl fmt::Display for ChannelSummary {
             (Some(_) | None, _) => writeln!(formatter)?,
         }
         if !self.gaps.is_empty() {
-            let told = self.gaps.iter().take(MOST_GAPS).map(|gap| format!("{} after {:.3} s", gap.samples, gap.after_s));
+            let told =
+                self.gaps.iter().take(MOST_GAPS).map(|gap| format!("{} after {:.3} s", gap.samples, gap.after_s));
             let more = if self.gaps.len() > MOST_GAPS { ", …" } else { "" };
             let told = told.collect::<Vec<_>>().join(", ");
             let (missing, gaps) = (counted(self.missing, "sample"), counted(self.gaps.len() as u64, "gap"));
@@ -251,7 +256,7 @@ mod tests {
              4 samples at 100 Hz, 0.040 s from 2024-02-29T12:00:00Z\n  1 sample missing in 1 gap: 1 after 0.010 s\n  \
              mean 0, std 2.34521, min -4, max 2, peak -4 after 0.010 s\n"
         );
-        let json = RecordingSummary::of(&file).json().unwrap();
+        let json = RecordingSummary::of(&file).json();
         let value: serde_json::Value = serde_json::from_str(&json).unwrap();
         assert_eq!(value["channels"][0]["statistics"]["peak"], -4.0);
         assert_eq!(value["channels"][0]["si_from_unit"], 0.01);
@@ -259,7 +264,14 @@ mod tests {
 
     #[test]
     fn numbers_have_six_digits() {
-        for (number, text) in [(200.0, "200"), (119.99983, "120"), (0.312883, "0.312883"), (-54.284843, "-54.2848"), (1e-7, "1.00000e-7"), (1_017_300.0, "1017300")] {
+        for (number, text) in [
+            (200.0, "200"),
+            (119.99983, "120"),
+            (0.312883, "0.312883"),
+            (-54.284843, "-54.2848"),
+            (1e-7, "1.00000e-7"),
+            (1_017_300.0, "1017300"),
+        ] {
             assert_eq!(rounded(number), text);
         }
     }

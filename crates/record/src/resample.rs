@@ -79,7 +79,11 @@ impl Filter {
             for tap in 0..2 * reach {
                 let distance = tap as f64 - (reach as f64 - 1.0) - fraction;
                 let share = distance / half;
-                let window = if share.abs() < 1.0 { bessel_i0(beta * (1.0 - share * share).sqrt()) / bessel_i0(beta) } else { 0.0 };
+                let window = if share.abs() < 1.0 {
+                    bessel_i0(beta * (1.0 - share * share).sqrt()) / bessel_i0(beta)
+                } else {
+                    0.0
+                };
                 table.push(2.0 * cutoff * sinc(2.0 * cutoff * distance) * window);
             }
         }
@@ -150,7 +154,8 @@ mod tests {
 
     /// Largest difference from the sine itself, away from the ends.
     fn worst(channel: &RecordedChannel, frequency_hz: f64, amplitude: f64) -> f64 {
-        let (start_ns, end_ns) = (channel.start_ns().unwrap() + 1_000_000_000, channel.end_ns().unwrap() - 1_000_000_000);
+        let (start_ns, end_ns) =
+            (channel.start_ns().unwrap() + 1_000_000_000, channel.end_ns().unwrap() - 1_000_000_000);
         let inner = channel.timed_samples().filter(|(time_ns, _)| (start_ns..end_ns).contains(time_ns));
         inner.fold(0.0, |worst: f64, (time_ns, value)| {
             let expected = amplitude * (2.0 * PI * frequency_hz * time_ns as f64 / 1e9).sin();

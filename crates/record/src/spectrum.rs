@@ -58,7 +58,11 @@ impl Spectrum {
         for run in runs {
             for piece in run.windows(length).step_by(length / 2) {
                 let mean = piece.iter().sum::<f64>() / length as f64;
-                input.iter_mut().zip(piece).zip(&window).for_each(|((input, sample), weight)| *input = (sample - mean) * weight);
+                input
+                    .iter_mut()
+                    .zip(piece)
+                    .zip(&window)
+                    .for_each(|((input, sample), weight)| *input = (sample - mean) * weight);
                 transform.process(&mut input, &mut output).ok()?; // lengths are those of the plan
                 density.iter_mut().zip(&output).for_each(|(density, value)| *density += value.norm_sqr());
                 windows += 1;
@@ -83,29 +87,28 @@ impl Spectrum {
         &self.density
     }
 
-    /// The most prominent peaks, at most six, in the order of frequency.
+    /// The highest peaks, at most six, in the order of frequency.
     pub fn peaks(&self) -> Vec<SpectralPeak> {
         let density = &self.density;
-        let mut peaks: Vec<(f64, SpectralPeak)> = Vec::new();
+        let mut peaks: Vec<SpectralPeak> = Vec::new();
         // next to 0 Hz stand drift and what is left of the mean
         for index in 2..density.len().saturating_sub(1) {
             let height = density[index];
             if height > density[index - 1] && height >= density[index + 1] {
-                let prominence = height / valley_beside(density, index);
-                if prominence >= PROMINENCE {
-                    peaks.push((prominence, self.peak(index)));
+                if height >= PROMINENCE * valley_beside(density, index) {
+                    peaks.push(self.peak(index));
                 }
             }
         }
-        peaks.sort_by(|one, other| other.0.total_cmp(&one.0));
+        peaks.sort_by(|one, other| other.density.total_cmp(&one.density));
         peaks.truncate(MOST_PEAKS);
-        let mut peaks: Vec<SpectralPeak> = peaks.into_iter().map(|(_, peak)| peak).collect();
         peaks.sort_by(|one, other| one.frequency_hz.total_cmp(&other.frequency_hz));
         peaks
     }
 
     fn peak(&self, index: usize) -> SpectralPeak {
-        let [before, here, after] = [index - 1, index, index + 1].map(|index| self.density[index].max(f64::MIN_POSITIVE).ln());
+        let [before, here, after] =
+            [index - 1, index, index + 1].map(|index| self.density[index].max(f64::MIN_POSITIVE).ln());
         let curvature = before - 2.0 * here + after;
         let shift = if curvature < 0.0 { 0.5 * (before - after) / curvature } else { 0.0 };
         SpectralPeak { frequency_hz: (index as f64 + shift) * self.step_hz, density: self.density[index] }

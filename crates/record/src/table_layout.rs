@@ -58,13 +58,14 @@ impl TableLayout {
             Some(stated) => Separator::Byte(stated),
         };
         let header = match wanted_column {
-            Some(wanted) => lines.iter().position(|(_, line)| {
-                fields(line, separator(line)).iter().any(|field| field == wanted)
-            }),
+            Some(wanted) => {
+                lines.iter().position(|(_, line)| fields(line, separator(line)).iter().any(|field| field == wanted))
+            }
             None => (first..lines.len()).find(|index| is_header(&lines, *index, separator)),
         };
         let first_line = lines.get(first).map_or("", |(_, line)| line.as_str());
-        let is_numbers = !first_line.trim().is_empty() && fields(first_line, separator(first_line)).iter().all(|field| is_number(field));
+        let is_numbers = !first_line.trim().is_empty()
+            && fields(first_line, separator(first_line)).iter().all(|field| is_number(field));
         let (at, has_header) = match header {
             Some(header) => (header, true),
             None => (first, !is_numbers),
@@ -72,7 +73,8 @@ impl TableLayout {
         let header_line = lines.get(at).map_or("", |(_, line)| line.as_str());
         let separator = separator(header_line);
         let row = lines.get(at + usize::from(has_header)).map_or("", |(_, line)| line.as_str());
-        let has_decimal_comma = separator != Separator::Byte(b',') && fields(row, separator).iter().any(|field| is_comma_number(field));
+        let has_decimal_comma =
+            separator != Separator::Byte(b',') && fields(row, separator).iter().any(|field| is_comma_number(field));
         Self {
             separator,
             has_decimal_comma,
@@ -141,7 +143,8 @@ fn is_header(lines: &[(usize, String)], index: usize, separator: impl Fn(&str) -
     let separator = separator(line);
     let (names, values) = (fields(line, separator), fields(row, separator));
     let is_value = |field: &String| field.is_empty() || is_number(field) || TimeForm::of(field).is_some();
-    let is_row = values.iter().any(|field| is_number(field)) && values.iter().filter(|field| is_value(field)).count() * 2 >= values.len();
+    let is_row = values.iter().any(|field| is_number(field))
+        && values.iter().filter(|field| is_value(field)).count() * 2 >= values.len();
     names.len() == values.len() && is_row && !names.iter().all(is_value)
 }
 

@@ -6,6 +6,7 @@
 
 use super::text_lines::{NumberColumns, TextLines, decimal, text_of};
 use crate::fault::Fault;
+use crate::rate::rate_from_step;
 use crate::recorded::{RecordedChannel, Segment};
 
 const FIELD_WIDTH: usize = 15;
@@ -39,7 +40,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let per_line = lines.clone().next().map_or(1, |line| line.trim_end().len().div_ceil(FIELD_WIDTH).max(1));
     let columns = NumberColumns { per_line, width: FIELD_WIDTH };
     let samples = lines.numbers(columns, count, &name)?;
-    let channel = RecordedChannel::new(name, Some(1.0 / step_s), vec![Segment::new(0, samples)]);
+    let channel = RecordedChannel::new(name, Some(rate_from_step(step_s)), vec![Segment::new(0, samples)]);
     Ok(vec![channel.with_unit(unit).with_description(place)])
 }
 

@@ -3,10 +3,11 @@
 //! Layout: COSMOS, *Strong motion data format v1.20* (2001). The first line states the number of lines of text; the counts of
 //! integers, reals, comments and samples stand in the lines before them, with their columns as a Fortran format.
 //! Integers: 1 processing stage, 2 unit, 40 year, 41 day of the year, 44 hour, 45 minute, 50 number of the channel
-//! at the station. Reals: 30 second, 34 time step (s).
+//! at the station. Reals: 30 second, 62 time step of these samples (ms), 34 that of the recorder (s), which can be another one.
 
 use super::text_lines::{NumberColumns, TextLines, columns_of, text_of};
 use crate::fault::Fault;
+use crate::rate::rate_from_step;
 use crate::record_time::day_of_year_ns;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
 
@@ -67,13 +68,15 @@ fn read_channel(lines: &mut TextLines<'_>, first: &str, place: usize) -> Result<
         let codes = comment.split_once("<SCNL>").and_then(|(_, rest)| rest.split_whitespace().next());
         source = source.or(codes);
     }
-    let step_s = real(34).filter(|step_s| *step_s > 0.0).ok_or_else(|| {
-        let found = reals.get(33).map_or_else(|| "absent".to_owned(), f64::to_string);
-        Fault::at_line(header_line, "time step (real 34)", found, "a positive number of seconds")
-    })?;
+    let step_s =
+        real(62).map(|step_ms| step_ms / 1e3).or(real(34)).filter(|step_s| *step_s > 0.0).ok_or_else(|| {
+            let found = reals.get(61).map_or_else(|| "absent".to_owned(), f64::to_string);
+            Fault::at_line(header_line, "time step (real 62)", found, "a positive number of milliseconds")
+        })?;
 
     let (count, line) = number_before(lines, "pts")?;
-    let refused = |what: &str, allowed: &str| Fault::at_line(lines.number(), what, format!("`{}`", line.trim()), allowed);
+    let refused =
+        |what: &str, allowed: &str| Fault::at_line(lines.number(), what, format!("`{}`", line.trim()), allowed);
     let lower = line.to_ascii_lowercase();
     let quantity = ["acceleration", "velocity", "displacement"].into_iter().find(|name| lower.contains(name));
     let quantity = quantity.ok_or_else(|| refused("quantity", "acceleration, velocity or displacement"))?;
@@ -82,7 +85,7 @@ fn read_channel(lines: &mut TextLines<'_>, first: &str, place: usize) -> Result<
     let columns = format_of(&lower).ok_or_else(|| refused("columns", "`Format=(8F10.5)` or alike"))?;
     let samples = lines.numbers(columns, count, quantity)?;
     let end = lines.line("the end of the channel")?;
-    if !end.to_ascii_lowercase().contains("end-of-data") {
+    if !end.to_ascii_lowercase().replace('-', " ").contains("end of data") {
         let allowed = "`End-of-data` behind the samples";
         return Err(Fault::at_line(lines.number(), "line", format!("`{}`", end.trim()), allowed));
     }
@@ -93,10 +96,11 @@ fn read_channel(lines: &mut TextLines<'_>, first: &str, place: usize) -> Result<
         (None, None) => format!("channel-{place}.{quantity}"),
     };
     let start_ns = integer(40).zip(integer(41)).zip(integer(44).zip(integer(45))).zip(real(30));
-    let start_ns = start_ns.and_then(|(((year, day), (hour, minute)), second)| day_of_year_ns(year, day, hour, minute, second));
+    let start_ns =
+        start_ns.and_then(|(((year, day), (hour, minute)), second)| day_of_year_ns(year, day, hour, minute, second));
     let origin = if start_ns.is_some() { TimeOrigin::Epoch } else { TimeOrigin::Start };
     let segment = Segment::new(start_ns.unwrap_or(0), samples);
-    let channel = RecordedChannel::new(name, Some(1.0 / step_s), vec![segment]);
+    let channel = RecordedChannel::new(name, Some(rate_from_step(step_s)), vec![segment]);
     Ok(channel.with_unit(unit).with_description(description).with_origin(origin))
 }
 
@@ -105,14 +109,16 @@ fn number_before<'a>(lines: &mut TextLines<'a>, what: &str) -> Result<(usize, &'
     let line = lines.line("the header")?;
     let number = line.split_whitespace().next().and_then(|number| number.parse().ok());
     let number = number.filter(|_| line.to_ascii_lowercase().contains(what));
-    let refused = || Fault::at_line(lines.number(), "line", format!("`{}`", line.trim()), format!("a number and `{what}`"));
+    let refused =
+        || Fault::at_line(lines.number(), "line", format!("`{}`", line.trim()), format!("a number and `{what}`"));
     Ok((number.ok_or_else(refused)?, line))
 }
 
 /// Reads a line that states the number of values and their columns.
 fn counted(lines: &mut TextLines<'_>, what: &str) -> Result<(usize, NumberColumns), Fault> {
     let (count, line) = number_before(lines, what)?;
-    let refused = || Fault::at_line(lines.number(), "columns", format!("`{}`", line.trim()), "`Format= (10I8)` or alike");
+    let refused =
+        || Fault::at_line(lines.number(), "columns", format!("`{}`", line.trim()), "`Format= (10I8)` or alike");
     Ok((count, format_of(&line.to_ascii_lowercase()).ok_or_else(refused)?))
 }
 
@@ -132,7 +138,7 @@ mod tests {
             integers[index - 1] = value;
         }
         let mut reals = [-999.0; 100];
-        (reals[29], reals[33]) = (4.4, 0.005);
+        (reals[29], reals[33], reals[61]) = (4.4, 0.02, 5.0);
         let mut text = "Uncorrected acceleration  (Format v01.20 with 4 text lines)\nHill\n".to_owned();
         text += "Sta Chan  1: 360 deg (Rcrdr Chan  1)\n";
         text += "Values used when parameter or data value is unknown/unspecified:   -999, -999.0\n";
@@ -179,8 +185,8 @@ mod tests {
 
     #[test]
     fn time_step_that_is_unknown_is_refused() {
-        let file = channel(1, "g").replace("     0.005000", "  -999.000000");
+        let file = channel(1, "g").replace("     0.020000", "     0.000000").replace("     5.000000", "  -999.000000");
         let told = read(file.as_bytes()).unwrap_err().to_string();
-        assert!(told.contains("time step (real 34) is -999, must be a positive number of seconds"), "{told}");
+        assert!(told.contains("time step (real 62) is -999, must be a positive number of milliseconds"), "{told}");
     }
 }

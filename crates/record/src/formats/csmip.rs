@@ -8,6 +8,7 @@
 
 use super::text_lines::{NumberColumns, TextLines, columns_of, decimal, text_of};
 use crate::fault::Fault;
+use crate::rate::rate_from_step;
 use crate::record_time::civil_ns;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
 
@@ -81,8 +82,11 @@ fn read_block(lines: &mut TextLines<'_>, lower: &str, heading: &Heading) -> Resu
         _ => return Err(refused("quantity", "accel, veloc or displ")),
     };
     let step_s = lower.split_once("spaced at").and_then(|(_, rest)| rest.split_whitespace().next()).and_then(decimal);
-    let step_s = step_s.filter(|step_s| *step_s > 0.0).ok_or_else(|| refused("time step", "`spaced at SECONDS sec`"))?;
-    let unit = lower.split_once("units:").or_else(|| lower.split_once("in cm").map(|(before, _)| (before, &lower[before.len() + 3..])));
+    let step_s =
+        step_s.filter(|step_s| *step_s > 0.0).ok_or_else(|| refused("time step", "`spaced at SECONDS sec`"))?;
+    let unit = lower
+        .split_once("units:")
+        .or_else(|| lower.split_once("in cm").map(|(before, _)| (before, &lower[before.len() + 3..])));
     let unit = unit.and_then(|(_, rest)| rest.split([' ', ')', '(']).find(|word| !word.is_empty()));
     let unit = unit.unwrap_or_default().trim_end_matches('.');
     let columns = lower.rsplit_once('(').and_then(|(_, rest)| columns_of(rest.split(')').next()?)).unwrap_or(COLUMNS);
@@ -93,7 +97,7 @@ fn read_block(lines: &mut TextLines<'_>, lower: &str, heading: &Heading) -> Resu
     };
     let segment = Segment::new(heading.start_ns.unwrap_or(0), samples);
     let origin = if heading.start_ns.is_some() { TimeOrigin::Epoch } else { TimeOrigin::Start };
-    let channel = RecordedChannel::new(name, Some(1.0 / step_s), vec![segment]);
+    let channel = RecordedChannel::new(name, Some(rate_from_step(step_s)), vec![segment]);
     Ok(channel.with_unit(unit).with_description(heading.place.clone()).with_origin(origin))
 }
 
@@ -108,7 +112,8 @@ impl Heading {
         if let Some(rest) = lower.strip_prefix("chan") {
             let number = rest.trim_start().split(':').next().and_then(|number| number.trim().parse().ok());
             // older files: the recorder's channel first, and then `(STA CHN:  7)`
-            let station = lower.split_once("sta chn:").and_then(|(_, rest)| rest.split(')').next()?.trim().parse().ok());
+            let station =
+                lower.split_once("sta chn:").and_then(|(_, rest)| rest.split(')').next()?.trim().parse().ok());
             self.channel = station.or(number).or(self.channel);
             let words = line.split_once(':').map_or(line, |(_, words)| words);
             self.place = words.split_whitespace().collect::<Vec<_>>().join(" ");

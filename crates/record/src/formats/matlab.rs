@@ -46,17 +46,20 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
         match kind {
             COMPRESSED => {
                 let decoder = flate2::read::ZlibDecoder::new(data);
-                let element = unpacked(decoder).map_err(|found| {
-                    Fault::at_byte(start, "compressed element", found, "data of zlib")
-                })?;
+                let element = unpacked(decoder)
+                    .map_err(|found| Fault::at_byte(start, "compressed element", found, "data of zlib"))?;
                 let mut element = Bytes::new(&element, file.order);
-                let (kind, data) = tagged(&mut element).map_err(|_| {
-                    Fault::at_byte(start, "compressed element", "shorter than it states", "whole")
-                })?;
+                let (kind, data) = tagged(&mut element)
+                    .map_err(|_| Fault::at_byte(start, "compressed element", "shorter than it states", "whole"))?;
                 if kind == MATRIX {
                     // places within what was compressed mean nothing to a reader of the file
                     let named = Array::read(Bytes::new(data, file.order), 0).map_err(|fault| {
-                        Fault::at_byte(start, "compressed variable", format!("wrong inside ({fault})"), "an array of MATLAB")
+                        Fault::at_byte(
+                            start,
+                            "compressed variable",
+                            format!("wrong inside ({fault})"),
+                            "an array of MATLAB",
+                        )
                     })?;
                     variables.extend(named);
                 }
@@ -78,9 +81,9 @@ fn tagged<'a>(file: &mut Bytes<'a>) -> Result<(u32, &'a [u8]), Fault> {
     if word >> 16 != 0 {
         let (kind, length, start) = (word & 0xffff, (word >> 16) as usize, file.position());
         let data = file.take(4)?;
-        let data = data.get(..length).ok_or_else(|| {
-            Fault::at_byte(start - 4, "length of a small element", length, "at most 4 bytes")
-        })?;
+        let data = data
+            .get(..length)
+            .ok_or_else(|| Fault::at_byte(start - 4, "length of a small element", length, "at most 4 bytes"))?;
         return Ok((kind, data));
     }
     let length = file.u32()? as usize;

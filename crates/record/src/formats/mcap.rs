@@ -59,7 +59,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Vec<RecordedChannel>, Vec<String>), 
         channels.extend(topic.channels()?);
     }
     if channels.is_empty() {
-        let found = if others.is_empty() { "no message".to_owned() } else { format!("the topics {}", others.join(", ")) };
+        let found =
+            if others.is_empty() { "no message".to_owned() } else { format!("the topics {}", others.join(", ")) };
         return Err(Fault::of_file("content", found, "messages in JSON with numbers"));
     }
     if !others.is_empty() {
@@ -69,10 +70,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Vec<RecordedChannel>, Vec<String>), 
 }
 
 /// Calls `take` with each record and the byte up to which the file was used; returns whether the file has an end.
-fn each_record(
-    bytes: &[u8],
-    mut take: impl FnMut(usize, Record<'_>) -> Result<(), Fault>,
-) -> Result<bool, Fault> {
+fn each_record(bytes: &[u8], mut take: impl FnMut(usize, Record<'_>) -> Result<(), Fault>) -> Result<bool, Fault> {
     let options = LinearReaderOptions::default()
         .with_prevalidate_chunk_crcs(true) // no message of a chunk that is damaged, or not whole
         .with_record_length_limit(LONGEST_RECORD_BYTES);

@@ -2,18 +2,16 @@
 //!
 //! Layout: USGS National Strong-Motion Program, *SMC-format data files* (Converse and Brady 1992, appendix): 11 lines of
 //! text, 48 integers (8 of 10 a line, missing = -32768), 50 reals (5 of 15 a line, missing = 1.7e38), comment lines (as many as
-//! integer 16 says), and the samples, 8 of 10 a line. Integers: 2 year, 3 day of the year, 4 hour, 5 minute, 6 second,
-//! 7 millisecond, 14 azimuth in degrees, 17 number of samples. Real 2 is the sampling rate in Hz.
+//! integer 16 says), and the samples, 8 of 10 a line. Integer 17 is the number of samples, real 2 the sampling rate in Hz. The date in
+//! the integers is that of the earthquake, to the minute; of the first sample there is none, so that times count from it.
 
 use super::text_lines::{NumberColumns, TextLines, text_of};
 use crate::fault::Fault;
-use crate::record_time::day_of_year_ns;
-use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
+use crate::recorded::{RecordedChannel, Segment};
 
 const TEXT_LINES: usize = 11;
 const INTEGERS: usize = 48;
 const REALS: usize = 50;
-const MISSING_INTEGER: i64 = -32768;
 /// Values from here on stand for a missing one, written as 1.7e38.
 const MISSING_REAL: f64 = 1e38;
 const INTEGER_COLUMNS: NumberColumns = NumberColumns { per_line: 8, width: 10 };
@@ -76,19 +74,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let samples = lines.numbers(SAMPLE_COLUMNS, samples, name)?;
     let samples = samples.into_iter().map(|sample| if sample.abs() >= MISSING_REAL { f64::NAN } else { sample });
 
-    let start_ns = start_ns(&integers);
-    let segment = Segment::new(start_ns.unwrap_or(0), samples.collect());
-    let origin = if start_ns.is_some() { TimeOrigin::Epoch } else { TimeOrigin::Start };
-    let channel = RecordedChannel::new(name, Some(rate_hz), vec![segment]).with_unit(unit).with_origin(origin);
+    let channel = RecordedChannel::new(name, Some(rate_hz), vec![Segment::new(0, samples.collect())]).with_unit(unit);
     Ok(vec![channel.with_description(location.unwrap_or(station))])
-}
-
-/// Time of the first sample, if the header has it to the second.
-fn start_ns(integers: &[i64]) -> Option<i64> {
-    let given = |index: usize| Some(integers[index - 1]).filter(|value| *value != MISSING_INTEGER);
-    let milliseconds = given(7).unwrap_or(0);
-    let second = given(6)? as f64 + milliseconds as f64 / 1e3;
-    day_of_year_ns(given(2)?, given(3)?, given(4)?, given(5)?, second)
 }
 
 #[cfg(test)]
@@ -97,8 +84,8 @@ mod tests {
 
     /// A file of eleven samples of 50 Hz with one comment, and this first line.
     fn file(first: &str) -> String {
-        let mut integers = [MISSING_INTEGER; INTEGERS];
-        for (index, value) in [(2, 2018), (3, 4), (4, 10), (5, 39), (6, 0), (7, 164), (16, 1), (17, 11)] {
+        let mut integers = [-32768; INTEGERS];
+        for (index, value) in [(16, 1), (17, 11)] {
             integers[index - 1] = value;
         }
         let mut reals = [1.7e38; REALS];
@@ -116,15 +103,16 @@ mod tests {
     }
 
     #[test]
-    fn touching_samples_start_and_place_are_read() {
+    fn touching_samples_missing_ones_and_place_are_read() {
         let channels = read(file("2 CORRECTED ACCELEROGRAM").as_bytes()).unwrap();
         let channel = &channels[0];
         let samples: Vec<f64> = channel.samples().collect();
         assert_eq!((samples.len(), samples[7], samples[8], samples[9]), (11, -1.5289e-2, 2.5, -3.5));
         assert!(samples[10].is_nan(), "1.7e38 is a missing sample");
-        assert_eq!((channel.sampling_rate_hz(), channel.unit(), channel.description()), (Some(50.0), Some("cm/s2"), Some("roof")));
-        // date -u -d '2018-01-04T10:39:00Z' +%s
-        assert_eq!(channel.start_ns(), Some(1_515_062_340_164_000_000));
+        assert_eq!(
+            (channel.sampling_rate_hz(), channel.unit(), channel.description()),
+            (Some(50.0), Some("cm/s2"), Some("roof"))
+        );
     }
 
     #[test]

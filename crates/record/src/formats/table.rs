@@ -28,8 +28,11 @@ pub(crate) fn read(bytes: Vec<u8>, path: &Path, options: &ReadOptions) -> Result
         }
     };
     let is_sample = |field: &str| field.is_empty() || field.replace(',', ".").parse::<f64>().is_ok();
-    let is_channel = |index: usize| Some(&header[index]) != time_column.as_ref() && row.get(index).is_none_or(|field| is_sample(field));
-    let columns: Vec<String> = (0..header.len()).filter(|index| is_channel(*index)).map(|index| header[index].clone()).collect();
+    let is_channel = |index: usize| {
+        Some(&header[index]) != time_column.as_ref() && row.get(index).is_none_or(|field| is_sample(field))
+    };
+    let columns: Vec<String> =
+        (0..header.len()).filter(|index| is_channel(*index)).map(|index| header[index].clone()).collect();
     let time = match time_column {
         Some(name) => TimeSource::Column { name, unit: options.time_unit.unwrap_or(TimeUnit::Seconds) },
         None => TimeSource::Counted { rate_hz: COUNTING_HZ },
@@ -82,7 +85,8 @@ fn first_lines(bytes: &[u8], layout: &TableLayout) -> (Vec<String>, Vec<String>)
 
 /// The unit in brackets at the end of a name.
 fn unit_of(name: &str) -> &str {
-    let inner = |open: char, close: char| name.trim_end().strip_suffix(close)?.rsplit_once(open).map(|(_, unit)| unit.trim());
+    let inner =
+        |open: char, close: char| name.trim_end().strip_suffix(close)?.rsplit_once(open).map(|(_, unit)| unit.trim());
     inner('[', ']').or_else(|| inner('(', ')')).filter(|unit| *unit != "-").unwrap_or_default()
 }
 

@@ -14,6 +14,7 @@ use metadata::{Index, Metadata};
 
 use crate::bytes::{ByteOrder, Bytes};
 use crate::fault::Fault;
+use crate::rate::rate_from_step;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
 
 const LEAD_IN_BYTES: usize = 28;
@@ -68,10 +69,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     }
     let mut paths: Vec<(usize, &String)> = objects.iter().map(|(path, object)| (object.place, path)).collect();
     paths.sort_unstable();
-    let channels: Vec<RecordedChannel> = paths
-        .into_iter()
-        .filter_map(|(_, path)| channel(path, &objects).transpose())
-        .collect::<Result<_, _>>()?;
+    let channels: Vec<RecordedChannel> =
+        paths.into_iter().filter_map(|(_, path)| channel(path, &objects).transpose()).collect::<Result<_, _>>()?;
     match channels.is_empty() {
         true => Err(Fault::of_file("number of channels with numbers", 0, "at least 1")),
         false => Ok(channels),
@@ -79,11 +78,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
 }
 
 /// Reads a segment and returns its length.
-fn read_segment(
-    bytes: &[u8],
-    objects: &mut BTreeMap<String, Object>,
-    order: &mut Vec<String>,
-) -> Result<usize, Fault> {
+fn read_segment(bytes: &[u8], objects: &mut BTreeMap<String, Object>, order: &mut Vec<String>) -> Result<usize, Fault> {
     let mut lead_in = Bytes::new(bytes, ByteOrder::Little);
     let tag = lead_in.take(4)?;
     if tag != b"TDSm" {
@@ -110,7 +105,12 @@ fn read_segment(
         }
     };
     let raw_start = usize::try_from(raw_start).ok().filter(|start| *start <= segment_length).ok_or_else(|| {
-        Fault::at_byte(20, "start of the raw data", raw_start, format!("at most {segment_length}, the end of the segment"))
+        Fault::at_byte(
+            20,
+            "start of the raw data",
+            raw_start,
+            format!("at most {segment_length}, the end of the segment"),
+        )
     })?;
     let segment = &bytes[LEAD_IN_BYTES..LEAD_IN_BYTES + segment_length];
     let byte_order = lead_in.order;
@@ -146,7 +146,7 @@ fn channel(path: &str, objects: &BTreeMap<String, Object>) -> Result<Option<Reco
         Some(Property::Text(text)) => Some(text.clone()),
         Some(Property::Number(_) | Property::Time(_) | Property::Other) | None => None,
     };
-    let rate_hz = number("wf_increment").filter(|step_s| step_s.is_finite() && *step_s > 0.0).map(|step_s| 1.0 / step_s);
+    let rate_hz = number("wf_increment").filter(|step_s| step_s.is_finite() && *step_s > 0.0).map(rate_from_step);
     let offset_ns = (number("wf_start_offset").unwrap_or(0.0) * 1e9).round() as i64;
     let start_ns = match object.properties.get("wf_start_time") {
         // zero is what LabVIEW writes of a waveform without a date

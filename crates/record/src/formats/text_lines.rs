@@ -66,7 +66,12 @@ impl<'a> TextLines<'a> {
         while values.len() < count {
             let Some(line) = self.next() else {
                 let found = format!("{} to the end of the file", values.len());
-                return Err(Fault::at_line(self.number, format!("number of values of {what}"), found, count.to_string()));
+                return Err(Fault::at_line(
+                    self.number,
+                    format!("number of values of {what}"),
+                    found,
+                    count.to_string(),
+                ));
             };
             let expected = columns.per_line.min(count - values.len());
             let allowed = || format!("{expected} numbers {} wide", columns.width);
@@ -166,7 +171,10 @@ mod tests {
         let told = |text: &str| TextLines::new(text).numbers(columns, 4, "velocity").unwrap_err().to_string();
         assert_eq!(told("1.0 2.0\n3.0\n"), "line 2: velocity is 1 numbers, must be 2 numbers 6 wide");
         assert_eq!(told("1.0 2.0\n******   4.0\n"), "line 2: velocity is `******   4.0`, must be 2 numbers 6 wide");
-        assert_eq!(told("1.0   2.0\n3.0   4."), "line 2: velocity is cut off after `3.0   4.`, must be a whole last line");
+        assert_eq!(
+            told("1.0   2.0\n3.0   4."),
+            "line 2: velocity is cut off after `3.0   4.`, must be a whole last line"
+        );
         assert_eq!(told("1.0 2.0\n"), "line 1: number of values of velocity is 2 to the end of the file, must be 4");
     }
 

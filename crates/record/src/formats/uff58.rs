@@ -9,6 +9,7 @@
 use super::text_lines::{NumberColumns, TextLines, decimal};
 use crate::bytes::{ByteOrder, Bytes, text};
 use crate::fault::Fault;
+use crate::rate::rate_from_step;
 use crate::record_time::civil_ns;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
 
@@ -36,7 +37,12 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
             continue;
         }
         if line.trim() != "-1" {
-            return Err(Fault::at_byte(file.position(), "line between datasets", format!("`{}`", line.trim()), "`    -1`"));
+            return Err(Fault::at_byte(
+                file.position(),
+                "line between datasets",
+                format!("`{}`", line.trim()),
+                "`    -1`",
+            ));
         }
         let Some(number) = next_line(&mut file) else { break };
         match number.split_whitespace().next() {
@@ -71,9 +77,8 @@ struct Binary {
 impl Binary {
     /// Reads the first line: `58b`, byte order, kind of floating point numbers, lines of text, bytes behind them.
     fn of(line: &str, file: &Bytes<'_>) -> Result<Self, Fault> {
-        let refused = |what: &str, allowed: &str| {
-            Fault::at_byte(file.position(), what, format!("`{}`", line.trim()), allowed)
-        };
+        let refused =
+            |what: &str, allowed: &str| Fault::at_byte(file.position(), what, format!("`{}`", line.trim()), allowed);
         let mut words = line.split_whitespace().skip(1).map(|word| word.parse::<usize>().ok());
         let order = match words.next().flatten() {
             Some(1) => ByteOrder::Little,
@@ -150,7 +155,7 @@ fn read_dataset(
     let channel = match header.is_even {
         true => {
             let first_ns = start_ns.saturating_add(seconds_ns(header.first_s));
-            RecordedChannel::new(name, Some(1.0 / header.step_s), vec![Segment::new(first_ns, samples)])
+            RecordedChannel::new(name, Some(rate_from_step(header.step_s)), vec![Segment::new(first_ns, samples)])
         }
         false => {
             let times_ns: Vec<i64> =
@@ -174,7 +179,12 @@ impl Header {
         for number in 1..=HEADER_LINES {
             starts.push(file.position());
             lines.push(next_line(file).ok_or_else(|| {
-                Fault::at_byte(file.position(), "end of the file", "here", format!("after line {number} of 11 of the header"))
+                Fault::at_byte(
+                    file.position(),
+                    "end of the file",
+                    "here",
+                    format!("after line {number} of 11 of the header"),
+                )
             })?);
         }
         let refused = |line: usize, what: &str, allowed: &str| {
@@ -280,7 +290,12 @@ fn start_ns(line: &str) -> Option<i64> {
 /// Abscissae, if they are written, and samples.
 type Values = (Vec<f64>, Vec<f64>);
 
-fn binary_samples(file: &mut Bytes<'_>, binary: Binary, precision: Precision, header: &Header) -> Result<Values, Fault> {
+fn binary_samples(
+    file: &mut Bytes<'_>,
+    binary: Binary,
+    precision: Precision,
+    header: &Header,
+) -> Result<Values, Fault> {
     let start = file.position();
     let mut data = Bytes::new(file.take(binary.bytes)?, binary.order);
     let (mut abscissae, mut samples) = (Vec::new(), Vec::new());
@@ -361,7 +376,14 @@ fn end_of_dataset(file: &mut Bytes<'_>) -> Result<(), Fault> {
                 let found = format!("`{}`", line.trim_end());
                 return Err(Fault::at_byte(at, "line behind the values", found, "`    -1`"));
             }
-            None => return Err(Fault::at_byte(at, "end of the file", "here", "after the line `    -1` that ends the dataset")),
+            None => {
+                return Err(Fault::at_byte(
+                    at,
+                    "end of the file",
+                    "here",
+                    "after the line `    -1` that ends the dataset",
+                ));
+            }
         }
     }
 }

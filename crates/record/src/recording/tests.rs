@@ -95,6 +95,11 @@ fn unknown_format_names_the_known_ones() {
     let path = folder.path().join("a.xlsx");
     std::fs::write(&path, [0, 1, 2, 3]).unwrap();
     let error = Recording::open(&path, &ColumnMapping::by_name(["a"]), OffsetRemoval::Keep).err().unwrap().to_string();
-    assert!(error.ends_with("is of no known format, must be one of text table (CSV), miniSEED, COSMOS, CSMIP volume 2, \
-        MATLAB level 5, universal file (58), PEER AT2, SMC, TDMS, MCAP, gzip, zip archive, folder"), "{error}");
+    assert!(
+        error.ends_with(
+            "is of no known format, must be one of text table (CSV), miniSEED, COSMOS, CSMIP volume 2, \
+        MATLAB level 5, universal file (58), PEER AT2, SMC, TDMS, MCAP, gzip, zip archive, folder"
+        ),
+        "{error}"
+    );
 }

@@ -67,7 +67,12 @@ impl Array {
         let count = product(shape);
         if count != Some(values.len()) {
             let stated = shape.iter().map(i64::to_string).collect::<Vec<_>>().join(" by ");
-            return Err(Fault::at_byte(start, "number of values", values.len(), format!("{stated} as the array states")));
+            return Err(Fault::at_byte(
+                start,
+                "number of values",
+                values.len(),
+                format!("{stated} as the array states"),
+            ));
         }
         let rows = usize::try_from(shape.first().copied().unwrap_or(0)).unwrap_or(0);
         let columns = values.len().checked_div(rows).unwrap_or(0);
@@ -96,7 +101,11 @@ impl Array {
         let length = length.filter(|length| *length > 0).ok_or_else(|| {
             Fault::at_byte(start, "length of field names", "not a positive number", "a positive number")
         })?;
-        let names: Vec<String> = tagged(data)?.1.chunks(length).map(|name| text(name.split(|byte| *byte == 0).next().unwrap_or(name))).collect();
+        let names: Vec<String> = tagged(data)?
+            .1
+            .chunks(length)
+            .map(|name| text(name.split(|byte| *byte == 0).next().unwrap_or(name)))
+            .collect();
         let mut elements = Vec::new();
         for _ in 0..if names.is_empty() { 0 } else { count.unwrap_or(usize::MAX) } {
             let fields = nested(data, Some(names.len()), depth)?;
@@ -164,12 +173,16 @@ fn integers(data: &mut Bytes<'_>) -> Result<Vec<i64>, Fault> {
 /// Numbers of an element of this type; `None` if it has none.
 fn numbers(kind: u32, bytes: &[u8], order: ByteOrder) -> Option<Vec<f64>> {
     fn all<const N: usize>(bytes: &[u8], order: ByteOrder, number: impl Fn([u8; N]) -> f64) -> Vec<f64> {
-        bytes.chunks_exact(N).filter_map(|chunk| chunk.try_into().ok()).map(|mut little: [u8; N]| {
-            if order == ByteOrder::Big {
-                little.reverse();
-            }
-            number(little)
-        }).collect()
+        bytes
+            .chunks_exact(N)
+            .filter_map(|chunk| chunk.try_into().ok())
+            .map(|mut little: [u8; N]| {
+                if order == ByteOrder::Big {
+                    little.reverse();
+                }
+                number(little)
+            })
+            .collect()
     }
     Some(match kind {
         1 => all(bytes, order, |b| f64::from(i8::from_le_bytes(b))),

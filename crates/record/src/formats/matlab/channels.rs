@@ -7,10 +7,12 @@
 
 use super::array::{Array, Named};
 use crate::fault::Fault;
+use crate::rate::rate_from_step;
 use crate::recorded::{RecordedChannel, Segment};
 
 const TIMES: [&str; 3] = ["t", "time", "times"];
-const RATES: [&str; 7] = ["fs", "samplerate", "sampling_rate", "samplingrate", "sample_rate", "samplingfrequency", "rate"];
+const RATES: [&str; 7] =
+    ["fs", "samplerate", "sampling_rate", "samplingrate", "sample_rate", "samplingfrequency", "rate"];
 const STEPS: [&str; 2] = ["dt", "timestep"];
 /// Shorter arrays are settings, not series.
 const LEAST_SAMPLES: usize = 3;
@@ -51,7 +53,7 @@ fn collect(fields: &[Named], outer: &Around, channels: &mut Vec<RecordedChannel>
             if is_one_of(name, &RATES) {
                 around.rate_hz = Some(number);
             } else if is_one_of(name, &STEPS) {
-                around.rate_hz = Some(1.0 / number);
+                around.rate_hz = Some(rate_from_step(number));
             }
         }
     }
@@ -121,7 +123,8 @@ fn series(path: &str, matrix: &Matrix<'_>, beside: &[Named], around: &Around, ch
             true => values[index * rows..(index + 1) * rows].to_vec(),
             false => values.iter().skip(index).step_by(rows).copied().collect(),
         };
-        let samples: Vec<f64> = samples.into_iter().map(|sample| if sample.is_finite() { sample } else { f64::NAN }).collect();
+        let samples: Vec<f64> =
+            samples.into_iter().map(|sample| if sample.is_finite() { sample } else { f64::NAN }).collect();
         let channel = match &around.times_s {
             Some(times_s) => {
                 let times_ns: Vec<i64> = times_s.iter().map(|time_s| (time_s * 1e9).round() as i64).collect();
@@ -142,5 +145,7 @@ fn listed<'a>(beside: &'a [Named], ending: &str, count: usize) -> Option<Vec<&'a
 
 /// Whether numbers can be times.
 fn increases(values: &[f64]) -> bool {
-    values.len() >= LEAST_SAMPLES && values.windows(2).all(|pair| pair[1] > pair[0]) && values.iter().all(|value| value.is_finite())
+    values.len() >= LEAST_SAMPLES
+        && values.windows(2).all(|pair| pair[1] > pair[0])
+        && values.iter().all(|value| value.is_finite())
 }

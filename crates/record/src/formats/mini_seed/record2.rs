@@ -6,6 +6,8 @@ use crate::fault::Fault;
 use crate::record_time::day_of_year_ns;
 
 const HEADER_BYTES: usize = 48;
+/// Byte that says where the first blockette is.
+const FIRST_BLOCKETTE: usize = 46;
 /// Lengths of records that the standard allows, as powers of two.
 const LENGTHS: std::ops::RangeInclusive<u8> = 7..=20;
 /// Years that tell the byte order of the header: other ones are the two bytes the wrong way round.
@@ -59,22 +61,43 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
     let first_blockette = usize::from(header.u16()?);
     let blockettes = Blockettes::read(&header, first_blockette)?;
     let Some((encoding, data_order, length)) = blockettes.data else {
-        return Err(Fault::at_byte(first_blockette, "blockette 1000", "absent", "there: it states encoding and length"));
+        return Err(Fault::at_byte(
+            first_blockette,
+            "blockette 1000",
+            "absent",
+            "there: it states encoding and length",
+        ));
     };
     if !LENGTHS.contains(&length) {
-        return Err(Fault::at_byte(first_blockette, "length of the record", format!("2^{length}"), "2^7 to 2^20 bytes"));
+        return Err(Fault::at_byte(
+            first_blockette,
+            "length of the record",
+            format!("2^{length}"),
+            "2^7 to 2^20 bytes",
+        ));
     }
     let length = 1_usize << length;
     if length > bytes.len() {
-        return Err(Fault::at_byte(0, "record", format!("{} bytes to the end of the file", bytes.len()), length.to_string()));
+        return Err(Fault::at_byte(
+            0,
+            "record",
+            format!("{} bytes to the end of the file", bytes.len()),
+            length.to_string(),
+        ));
     }
-    let rate_hz = blockettes.rate_hz.map_or_else(|| nominal_rate(factor, multiplier), |rate_hz| Some(f64::from(rate_hz)));
+    let rate_hz =
+        blockettes.rate_hz.map_or_else(|| nominal_rate(factor, multiplier), |rate_hz| Some(f64::from(rate_hz)));
     if count == 0 || encoding == 0 || rate_hz.is_none() {
         return Ok((None, length)); // a header alone, or text of a log
     }
     let rate_hz = rate_hz.filter(|rate_hz| rate_hz.is_finite() && *rate_hz > 0.0).unwrap_or(0.0);
     if rate_hz == 0.0 {
-        return Err(Fault::at_byte(32, "sampling rate", format!("{factor} and {multiplier}"), "a positive number of Hz"));
+        return Err(Fault::at_byte(
+            32,
+            "sampling rate",
+            format!("{factor} and {multiplier}"),
+            "a positive number of Hz",
+        ));
     }
     if !(HEADER_BYTES..length).contains(&data_start) {
         let allowed = format!("{HEADER_BYTES} to {}", length - 1);
@@ -100,13 +123,14 @@ impl Blockettes {
     /// Follows the chain; each link must lead further on, so that it ends.
     fn read(header: &Bytes<'_>, first: usize) -> Result<Self, Fault> {
         let mut found = Self::default();
-        let (mut position, mut next) = (HEADER_BYTES - 1, first);
+        let (mut link, mut least, mut next) = (FIRST_BLOCKETTE, HEADER_BYTES, first);
         while next != 0 {
-            if next <= position {
-                let place = format!("byte {next}");
-                return Err(Fault::at_byte(position, "next blockette", place, format!("behind byte {position}")));
+            if next < least {
+                let place = format!("byte {next} of the record");
+                return Err(Fault::at_byte(link, "next blockette", place, format!("from byte {least} on")));
             }
-            position = next;
+            let position = next;
+            (link, least) = (position + 2, position + 4);
             let mut blockette = header.clone();
             blockette.seek(position)?;
             let kind = blockette.u16()?;
@@ -146,7 +170,8 @@ mod tests {
     #[test]
     fn factor_and_multiplier_give_the_rates_of_the_manual() {
         // SEED manual v2.4, page 110: 330 Hz, 330.6 Hz, one sample a minute, 0.1 Hz
-        for (factor, multiplier, expected) in [(33, 10, 330.0), (3306, -10, 330.6), (-60, 1, 1.0 / 60.0), (1, -10, 0.1)] {
+        for (factor, multiplier, expected) in [(33, 10, 330.0), (3306, -10, 330.6), (-60, 1, 1.0 / 60.0), (1, -10, 0.1)]
+        {
             let rate_hz = nominal_rate(factor, multiplier).unwrap();
             assert!((rate_hz - expected).abs() < 1e-12, "{factor}, {multiplier}: {rate_hz}");
         }

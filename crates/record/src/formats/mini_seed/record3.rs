@@ -34,7 +34,12 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
 
     let found = checksum(&bytes[..length]);
     if found != stated {
-        return Err(Fault::at_byte(CHECKSUM.start, "checksum", format!("{stated:08x}"), format!("{found:08x} for these bytes")));
+        return Err(Fault::at_byte(
+            CHECKSUM.start,
+            "checksum",
+            format!("{stated:08x}"),
+            format!("{found:08x} for these bytes"),
+        ));
     }
     if count == 0 || encoding == 0 || rate == 0.0 {
         return Ok((None, length));
@@ -95,7 +100,6 @@ const REMAINDERS: [u32; 256] = {
     }
     remainders
 };
-
 
 #[cfg(test)]
 mod tests {

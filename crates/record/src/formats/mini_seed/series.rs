@@ -23,12 +23,18 @@ pub(super) fn join(records: Vec<(usize, Record)>) -> Result<Vec<RecordedChannel>
 
 fn join_channel(mut records: Vec<(usize, Record)>) -> Result<RecordedChannel, Fault> {
     records.sort_by_key(|(_, record)| record.start_ns); // stable: of two that begin together the first in the file leads
-    let (name, rate_hz) = records.first().map_or((String::new(), 1.0), |(_, first)| (first.name.clone(), first.rate_hz));
+    let (name, rate_hz) =
+        records.first().map_or((String::new(), 1.0), |(_, first)| (first.name.clone(), first.rate_hz));
     let mut segments: Vec<(i64, Vec<f64>)> = Vec::new();
     for (place, record) in records {
         if (record.rate_hz - rate_hz).abs() > RATE_TOLERANCE * rate_hz {
             let found = format!("{} Hz", record.rate_hz);
-            return Err(Fault::at_byte(place, format!("sampling rate of {name}"), found, format!("{rate_hz} Hz as before")));
+            return Err(Fault::at_byte(
+                place,
+                format!("sampling rate of {name}"),
+                found,
+                format!("{rate_hz} Hz as before"),
+            ));
         }
         let Some((start_ns, samples)) = segments.last_mut() else {
             segments.push((record.start_ns, record.samples));

@@ -1,7 +1,8 @@
 //! Steim compression, levels 1 and 2: frames of 16 words with differences of 4 to 32 bits.
 //!
 //! Source: SEED manual v2.4, appendix B. Word 0 of a frame has 16 codes of two bits, one for each word; words 1 and 2 of the
-//! first frame are the first and the last sample.
+//! first frame are the first and the last sample. In little endian data each number is turned round by itself: differences of
+//! 8 bits stand in their order, those of 16 bits of level 1 in theirs, and words of the other codes as a whole.
 
 use crate::bytes::Bytes;
 use crate::fault::Fault;
@@ -29,8 +30,8 @@ pub(super) fn decode(mut data: Bytes<'_>, count: usize, level: Level) -> Result<
         let mut frame = Bytes::new(data.take(FRAME_BYTES.min(data.left()))?, data.order);
         let codes = frame.u32().map_err(|_| too_few(start, samples.len(), count))?;
         for place in 1..WORDS {
-            let Ok(word) = frame.u32() else { return Err(too_few(start, samples.len(), count)) };
             let code = codes >> (2 * (WORDS - 1 - place)) & 3;
+            let Ok(word) = word(&mut frame, code, level) else { return Err(too_few(start, samples.len(), count)) };
             match (is_first_frame, place) {
                 (true, 1) => first = word as i32,
                 (true, 2) => last = word as i32,
@@ -56,6 +57,18 @@ pub(super) fn decode(mut data: Bytes<'_>, count: usize, level: Level) -> Result<
         return Err(Fault::at_byte(8, "last sample as decompressed", sample, format!("{last} as the record states")));
     }
     Ok(samples)
+}
+
+/// The next word, with its differences from the highest bits down.
+fn word(frame: &mut Bytes<'_>, code: u32, level: Level) -> Result<u32, Fault> {
+    match (code, level) {
+        (1, _) => {
+            let bytes = [frame.u8()?, frame.u8()?, frame.u8()?, frame.u8()?];
+            Ok(u32::from_be_bytes(bytes))
+        }
+        (2, Level::One) => Ok(u32::from(frame.u16()?) << 16 | u32::from(frame.u16()?)),
+        (_, Level::One | Level::Two) => frame.u32(),
+    }
 }
 
 fn too_few(position: usize, found: usize, count: usize) -> Fault {

@@ -71,7 +71,10 @@ fn header_of_either_byte_order_is_read() {
         let channels = read(&Writer { order, ..PLAIN }.integers(&[7, -8, 9])).unwrap();
         let channel = &channels[0];
         assert_eq!(channel.samples().collect::<Vec<_>>(), [7.0, -8.0, 9.0]);
-        assert_eq!((channel.name(), channel.sampling_rate_hz(), channel.unit()), ("XX.TEST.00.HNZ", Some(100.0), Some("counts")));
+        assert_eq!(
+            (channel.name(), channel.sampling_rate_hz(), channel.unit()),
+            ("XX.TEST.00.HNZ", Some(100.0), Some("counts"))
+        );
         assert_eq!(channel.start_ns(), Some(START_NS + 42_000));
     }
 }
@@ -88,11 +91,12 @@ fn all_plain_encodings_are_read() {
 /// A frame of level 1: words 1 and 2 the first and last sample, then differences of 8, 16 and 32 bits.
 fn steim_1(writer: &Writer, last: i32) -> Vec<u8> {
     let codes = 0b01 << 24 | 0b10 << 22 | 0b11 << 20;
-    let mut words = vec![codes, 1000, last as u32];
+    let mut data = writer.words(&[codes, 1000, last as u32]);
     // the first difference, here 99, leads from the record before and counts for nothing
-    words.extend([99 << 24 | 1 << 16 | 0xfe << 8 | 3, 300 << 16 | 0xfe0c, 70_000]);
-    words.resize(16, 0);
-    Writer { encoding: 10, ..writer.clone() }.record(7, &writer.words(&words))
+    data.extend([99, 1, 0xfe, 3]);
+    data.extend([writer.u16(300), writer.u16(0xfe0c)].concat());
+    data.extend(writer.words(&[70_000]));
+    Writer { encoding: 10, ..writer.clone() }.record(7, &data)
 }
 
 #[test]
@@ -166,7 +170,8 @@ fn repeated_record_counts_once_and_a_contradiction_is_refused() {
 #[test]
 fn channels_are_told_apart() {
     let other = Writer { channel: "HNE", ..PLAIN };
-    let channels = read(&[PLAIN.integers(&[1]), other.integers(&[2]), PLAIN.after(100).integers(&[3])].concat()).unwrap();
+    let channels =
+        read(&[PLAIN.integers(&[1]), other.integers(&[2]), PLAIN.after(100).integers(&[3])].concat()).unwrap();
     let names: Vec<&str> = channels.iter().map(RecordedChannel::name).collect();
     assert_eq!(names, ["XX.TEST.00.HNZ", "XX.TEST.00.HNE"]);
     assert_eq!(channels[0].samples().collect::<Vec<_>>(), [1.0, 3.0]);
@@ -177,7 +182,7 @@ fn blockette_that_points_at_itself_is_refused() {
     let mut file = PLAIN.integers(&[1, 2]);
     file[50..52].copy_from_slice(&48_u16.to_be_bytes());
     let told = read(&file).unwrap_err().to_string();
-    assert_eq!(told, "byte 48: next blockette is byte 48, must be behind byte 48");
+    assert_eq!(told, "byte 50: next blockette is byte 48 of the record, must be from byte 52 on");
 }
 
 /// A record of version 3 with integers of 32 bits.

@@ -115,9 +115,9 @@ fn values(data: &mut Bytes<'_>) -> Result<Index, Fault> {
     let count = data.u64()?;
     let bytes = match (kind, size(kind)) {
         (TEXT, _) => data.u64()?,
-        (_, Some(size)) => count.checked_mul(size).ok_or_else(|| {
-            Fault::at_byte(start, "number of values", count, "one whose bytes can be counted")
-        })?,
+        (_, Some(size)) => count
+            .checked_mul(size)
+            .ok_or_else(|| Fault::at_byte(start, "number of values", count, "one whose bytes can be counted"))?,
         (other, None) => return Err(Fault::at_byte(start, "type of values", format!("{other:#x}"), KINDS)),
     };
     Ok(Index::Values { kind, count, bytes })
@@ -162,7 +162,8 @@ const BOOLEAN: u32 = 0x21;
 /// Type of texts.
 pub(super) const TEXT: u32 = 0x20;
 const TIME: u32 = 0x44;
-const KINDS: &str = "1 to 8 (integers), 9, 10, 19, 1a (floating point), 20 (text), 21 (boolean), 44 (time) or 8000c, 10000d (complex)";
+const KINDS: &str =
+    "1 to 8 (integers), 9, 10, 19, 1a (floating point), 20 (text), 21 (boolean), 44 (time) or 8000c, 10000d (complex)";
 
 /// Bytes of a value of a type; `None` if it has no fixed number, or is not known.
 pub(super) fn size(kind: u32) -> Option<u64> {

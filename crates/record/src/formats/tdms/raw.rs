@@ -25,7 +25,8 @@ pub(super) fn read(
         Index::Values { bytes, .. } => sum.checked_add(*bytes),
         Index::Daqmx { .. } => Some(sum),
     });
-    let chunk_bytes = chunk_bytes.ok_or_else(|| Fault::at_byte(0, "bytes of a chunk", "beyond counting", "fewer than 2^64"))?;
+    let chunk_bytes =
+        chunk_bytes.ok_or_else(|| Fault::at_byte(0, "bytes of a chunk", "beyond counting", "fewer than 2^64"))?;
     if chunk_bytes == 0 {
         return match data.left() {
             0 => Ok(()),
@@ -35,7 +36,12 @@ pub(super) fn read(
     while !data.is_at_end() {
         if (data.left() as u64) < chunk_bytes && !is_unfinished {
             let found = format!("{} bytes", data.left());
-            return Err(Fault::at_byte(data.position(), "last chunk of raw data", found, format!("{chunk_bytes} bytes")));
+            return Err(Fault::at_byte(
+                data.position(),
+                "last chunk of raw data",
+                found,
+                format!("{chunk_bytes} bytes"),
+            ));
         }
         match is_interleaved {
             true => read_interleaved(&mut data, &indices, objects)?,
@@ -111,7 +117,12 @@ fn read_daqmx(
     let mut counts = Vec::new();
     for (path, index) in indices {
         let Index::Daqmx { count, scalers, widths: own } = index else {
-            return Err(Fault::at_byte(0, format!("raw data of {path}"), "plain values", "DAQmx data as those beside it"));
+            return Err(Fault::at_byte(
+                0,
+                format!("raw data of {path}"),
+                "plain values",
+                "DAQmx data as those beside it",
+            ));
         };
         widths = own; // all channels state the widths of the same buffers
         for Scaler { kind, buffer, place, .. } in scalers {
@@ -147,7 +158,8 @@ fn read_daqmx(
                 let Index::Daqmx { count, scalers, .. } = index else { continue };
                 let own = scalers.iter().filter(|scaler| scaler.buffer as usize == buffer);
                 for scaler in own {
-                    let rows = rows.chunks_exact((*width).max(1) as usize).take(usize::try_from(*count).unwrap_or(usize::MAX));
+                    let rows =
+                        rows.chunks_exact((*width).max(1) as usize).take(usize::try_from(*count).unwrap_or(usize::MAX));
                     add(objects, path, scaler.id, rows.filter_map(|row| scaled_value(row, scaler, data.order)));
                 }
             }

@@ -34,9 +34,17 @@ pub(super) fn scaled(name: &str, object: &Object) -> Result<Vec<f64>, Fault> {
             "Linear" => vec![coefficient("Linear_Y_Intercept")?, coefficient("Linear_Slope")?],
             "Polynomial" => {
                 let count = number(&key("Polynomial_Coefficients_Size")).unwrap_or(4.0) as u32;
-                (0..count).map(|index| coefficient(&format!("Polynomial_Coefficients[{index}]"))).collect::<Result<_, _>>()?
+                (0..count)
+                    .map(|index| coefficient(&format!("Polynomial_Coefficients[{index}]")))
+                    .collect::<Result<_, _>>()?
             }
-            other => return Err(Fault::of_file(format!("scale {scale} of {name}"), format!("`{other}`"), "Linear or Polynomial")),
+            other => {
+                return Err(Fault::of_file(
+                    format!("scale {scale} of {name}"),
+                    format!("`{other}`"),
+                    "Linear or Polynomial",
+                ));
+            }
         };
         chain.push(coefficients);
         let input = number(&key(&format!("{kind}_Input_Source"))).map_or(RAW, |input| input as u32);
@@ -47,7 +55,8 @@ pub(super) fn scaled(name: &str, object: &Object) -> Result<Vec<f64>, Fault> {
         scale = input;
     }
     let raw = raw(scale).cloned().unwrap_or_default();
-    let polynomial = |coefficients: &Vec<f64>, value: f64| coefficients.iter().rev().fold(0.0, |sum, c| sum * value + c);
+    let polynomial =
+        |coefficients: &Vec<f64>, value: f64| coefficients.iter().rev().fold(0.0, |sum, c| sum * value + c);
     Ok(raw
         .into_iter()
         .map(|value| chain.iter().rev().fold(value, |value, coefficients| polynomial(coefficients, value)))

@@ -60,7 +60,11 @@ impl Writer {
     fn two_channels(self, contents: u32, values: &[f64]) -> Vec<u8> {
         let timing = [self.double("wf_increment", 0.01), self.start(), self.text("unit_string", "g")];
         let group = self.object("/'deck'", self.u32(u32::MAX), &[]);
-        let objects = [group, self.object("/'deck'/'it''s 1'", self.doubles(3), &timing), self.object("/'deck'/'2'", self.doubles(3), &[])];
+        let objects = [
+            group,
+            self.object("/'deck'/'it''s 1'", self.doubles(3), &timing),
+            self.object("/'deck'/'2'", self.doubles(3), &[]),
+        ];
         self.segment(contents, &objects, &self.raw(values))
     }
 }
@@ -112,7 +116,17 @@ fn segments_go_on_as_before() {
 fn daqmx() -> Vec<u8> {
     let index = |offset: u32| {
         let scaler = [LITTLE.u32(3), LITTLE.u32(0), LITTLE.u32(offset), LITTLE.u32(0), LITTLE.u32(0)].concat();
-        [LITTLE.u32(0x1269), LITTLE.u32(u32::MAX), LITTLE.u32(1), LITTLE.u64(3), LITTLE.u32(1), scaler, LITTLE.u32(1), LITTLE.u32(4)].concat()
+        [
+            LITTLE.u32(0x1269),
+            LITTLE.u32(u32::MAX),
+            LITTLE.u32(1),
+            LITTLE.u64(3),
+            LITTLE.u32(1),
+            scaler,
+            LITTLE.u32(1),
+            LITTLE.u32(4),
+        ]
+        .concat()
     };
     let whole = |key: &str, value: u32| [LITTLE.string(key), LITTLE.u32(7), LITTLE.u32(value)].concat();
     let scale = [

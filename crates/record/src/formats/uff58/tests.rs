@@ -15,7 +15,8 @@ fn dataset(first: &str, data: &str, values: &[u8]) -> Vec<u8> {
 }
 
 const EVEN: &str = "         2         8         1  0.50000E+00  2.00000E-02  0.00000E+00";
-const TOUCHING: &str = "-1.47553E-002-1.72957E-002-1.66101E-002-1.61988E-002-1.68925E-002-1.53669E-002\n 1.00000E+000 2.00000E+000\n";
+const TOUCHING: &str =
+    "-1.47553E-002-1.72957E-002-1.66101E-002-1.61988E-002-1.68925E-002-1.53669E-002\n 1.00000E+000 2.00000E+000\n";
 
 fn text_file() -> Vec<u8> {
     dataset("    58", EVEN, TOUCHING.as_bytes())
