@@ -131,7 +131,7 @@ fn plain(unit: &str) -> String {
     let lower = unit.trim().to_ascii_lowercase();
     let seconds = lower.replace("seconds", "s").replace("second", "s").replace("sec", "s");
     let squared = seconds.replace("/s/s", "/s2").replace("**2", "2").replace(['^', ' '], "").replace('²', "2");
-    squared.trim_end_matches('.').replace('µ', "u").replace('μ', "u") // micro sign and Greek mu
+    squared.trim_end_matches('.').replace(['µ', 'μ'], "u") // micro sign and Greek mu
 }
 
 #[cfg(test)]

@@ -7,9 +7,9 @@ use crate::{ColumnMapping, CsvWriter, McapWriter, OutputFormat, RecordError};
 /// Writes a record row by row, as CSV or MCAP.
 pub enum RecordWriter {
     /// Comma-separated.
-    Csv(CsvWriter),
+    Csv(Box<CsvWriter>),
     /// MCAP, a topic per channel.
-    Mcap(McapWriter),
+    Mcap(Box<McapWriter>),
 }
 
 impl RecordWriter {
@@ -19,8 +19,10 @@ impl RecordWriter {
     /// The name tells no format, or the file cannot be created or written.
     pub fn create(path: &Path, mapping: &ColumnMapping, rate_hz: f64) -> Result<Self, RecordError> {
         match OutputFormat::of(path)? {
-            OutputFormat::Csv => CsvWriter::create_mapped(path, mapping).map(Self::Csv),
-            OutputFormat::Mcap => McapWriter::create_mapped(path, mapping, rate_hz).map(Self::Mcap),
+            OutputFormat::Csv => CsvWriter::create_mapped(path, mapping).map(|writer| Self::Csv(Box::new(writer))),
+            OutputFormat::Mcap => {
+                McapWriter::create_mapped(path, mapping, rate_hz).map(|writer| Self::Mcap(Box::new(writer)))
+            }
         }
     }
 

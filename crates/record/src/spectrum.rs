@@ -43,7 +43,7 @@ impl Spectrum {
         let runs: Vec<&[f64]> =
             channel.segments().iter().flat_map(|segment| runs(segment.samples()).map(|(_, run)| run)).collect();
         let longest = runs.iter().map(|run| run.len()).max()?;
-        let wanted = (2 * longest / (AVERAGES + 1)).max(SHORTEST_WINDOW).min(LONGEST_WINDOW).min(longest);
+        let wanted = (2 * longest / (AVERAGES + 1)).clamp(SHORTEST_WINDOW, LONGEST_WINDOW).min(longest);
         let length = 1 << wanted.checked_ilog2()?;
         if length < SHORTEST_WINDOW {
             return None;
@@ -94,10 +94,9 @@ impl Spectrum {
         // next to 0 Hz stand drift and what is left of the mean
         for index in 2..density.len().saturating_sub(1) {
             let height = density[index];
-            if height > density[index - 1] && height >= density[index + 1] {
-                if height >= PROMINENCE * valley_beside(density, index) {
-                    peaks.push(self.peak(index));
-                }
+            let is_highest = height > density[index - 1] && height >= density[index + 1];
+            if is_highest && height >= PROMINENCE * valley_beside(density, index) {
+                peaks.push(self.peak(index));
             }
         }
         peaks.sort_by(|one, other| other.density.total_cmp(&one.density));

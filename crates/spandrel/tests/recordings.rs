@@ -44,7 +44,9 @@ fn info_tells_channels_for_people_and_for_programs() {
     let json: Value = serde_json::from_str(&done(&["info", &record, "--json"])).unwrap();
     let channels = json["channels"].as_array().unwrap();
     assert_eq!(channels.len(), 6);
-    assert!(channels.iter().all(|channel| channel["samples"] == 1000 && channel["statistics"]["std"].as_f64() > Some(0.0)));
+    assert!(
+        channels.iter().all(|channel| channel["samples"] == 1000 && channel["statistics"]["std"].as_f64() > Some(0.0))
+    );
 }
 
 #[test]
@@ -71,7 +73,13 @@ fn record_of_another_rate_is_estimated_only_if_resampling_is_declared() {
     let fast = folder.path().join("fast.csv").display().to_string();
     done(&["convert", &record, &fast, "--resample", "160"]);
     let estimate = |structure: &Path| {
-        vec!["estimate".to_owned(), structure.display().to_string(), "--record".to_owned(), fast.clone(), "--json".to_owned()]
+        vec![
+            "estimate".to_owned(),
+            structure.display().to_string(),
+            "--record".to_owned(),
+            fast.clone(),
+            "--json".to_owned(),
+        ]
     };
     let told = refused(&estimate(&demo()).iter().map(String::as_str).collect::<Vec<_>>());
     assert!(told.contains("160.0000 Hz") && told.contains("100 Hz"), "{told}");
