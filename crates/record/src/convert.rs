@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::{
     ChannelColumn, ColumnMapping, CsvWriter, McapChannel, McapWriter, RecordError, RecordReader, RecordedChannel,
-    RecordedFile, RecordedRows, resample::resampled,
+    RecordedFile, RecordedRows, formats::table::unit_of, resample::resampled,
 };
 
 /// Ends of names of files that can be written.
@@ -56,7 +56,8 @@ impl RecordedFile {
 
     /// Writes the recording to a file of the format that its name tells: `.csv` or `.mcap`.
     ///
-    /// Values of a unit that is known become SI; others stay as they are. In CSV the times of dated channels are seconds since 1970.
+    /// Values of a unit that is known become SI, and a name loses it: `roof [g]` is `roof`. Others stay as they are. In CSV the
+    /// times of dated channels are seconds since 1970.
     ///
     /// # Errors
     /// The name tells no format, the file cannot be written, or the channels do not fit: in CSV all must have the same rate.
@@ -69,7 +70,7 @@ impl RecordedFile {
 
     fn write_csv(&self, path: &Path) -> Result<(), RecordError> {
         let column = |channel: &RecordedChannel| {
-            let column = ChannelColumn::new(channel.name());
+            let column = ChannelColumn::new(name_in_si(channel)).with_column(channel.name());
             match channel.quantity() {
                 Some((quantity, _)) => column.in_unit_of_file(quantity),
                 None => column,
@@ -92,7 +93,7 @@ impl RecordedFile {
             });
         }
         let stated = |channel: &RecordedChannel| McapChannel {
-            name: channel.name().to_owned(),
+            name: name_in_si(channel).to_owned(),
             unit: match channel.quantity() {
                 Some((quantity, _)) => quantity.si_unit().to_owned(),
                 None => channel.unit().unwrap_or_default().to_owned(),
@@ -119,6 +120,14 @@ impl RecordedFile {
         }
         writer.finish()
     }
+}
+
+/// The name without the unit in brackets, if the values are taken to SI.
+fn name_in_si(channel: &RecordedChannel) -> &str {
+    let name = channel.name();
+    let is_in_brackets = channel.quantity().is_some() && !unit_of(name).is_empty();
+    let bracket = name.rfind(['[', '(']).filter(|_| is_in_brackets);
+    bracket.map_or(name, |bracket| name[..bracket].trim_end())
 }
 
 #[cfg(test)]
@@ -184,6 +193,22 @@ mod tests {
             let mapping = ColumnMapping::by_name(["a"]);
             let mut recording = Recording::open(&path, &mapping, OffsetRemoval::Keep).unwrap();
             assert_eq!(recording.next_row().unwrap().unwrap().values, [2.5], "{name}");
+        }
+    }
+
+    #[test]
+    fn unit_in_a_name_goes_when_the_values_become_si() {
+        let folder = tempfile::tempdir().unwrap();
+        let table = folder.path().join("table.csv");
+        std::fs::write(&table, "time,roof [g],mood [1-5]\n0,1,3\n0.01,2,4\n").unwrap();
+        let file = RecordedFile::read(&table, &ReadOptions::default()).unwrap();
+        for name in ["out.csv", "out.mcap"] {
+            let path = folder.path().join(name);
+            file.write(&path).unwrap();
+            let read = RecordedFile::read(&path, &ReadOptions::default()).unwrap();
+            let channels: Vec<_> =
+                read.channels().iter().map(|channel| (channel.name(), channel.samples().next().unwrap())).collect();
+            assert_eq!(channels, [("roof", 9.80665), ("mood [1-5]", 3.0)], "{name}");
         }
     }
 

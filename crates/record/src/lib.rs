@@ -73,7 +73,7 @@ pub use quantity::Quantity;
 pub use record_reader::{RecordReader, Row};
 pub use record_writer::RecordWriter;
 pub use recorded::{Gap, RecordedChannel, Segment, TimeOrigin};
-pub use recorded_file::{ReadOptions, RecordedFile};
+pub use recorded_file::{ReadOptions, RecordedFile, TableUnits};
 pub use recorded_rows::RecordedRows;
 pub use recording::{OffsetRemoval, Recording, Resampling};
 pub use recording_summary::{ChannelSummary, GapSummary, PeakSummary, RecordingSummary, Statistics};

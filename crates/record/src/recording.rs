@@ -4,7 +4,7 @@ use std::{collections::VecDeque, fs::File, io::Read, path::Path};
 
 use crate::{
     ColumnMapping, CsvReader, Format, ReadOptions, RecordError, RecordReader, RecordedFile, RecordedRows, Row,
-    TimeSource, rate::rate_from_times, table_layout::HEAD_BYTES,
+    TableUnits, TimeSource, rate::rate_from_times, table_layout::HEAD_BYTES,
 };
 
 /// Whether the constant part of each channel is taken away, such as the tilt of an accelerometer.
@@ -177,13 +177,14 @@ fn table_reader(path: &Path, mapping: &ColumnMapping) -> Result<Option<CsvReader
     }
 }
 
-/// What a mapping says of a file that says too little.
+/// What a mapping says of a file that says too little. A mapping names columns as they are called, brackets included.
 fn options_of(mapping: &ColumnMapping) -> ReadOptions {
+    let options = ReadOptions { table_units: TableUnits::Unstated, ..ReadOptions::default() };
     match mapping.time() {
         TimeSource::Column { name, unit } => {
-            ReadOptions { time_column: Some(name.clone()), time_unit: Some(*unit), sampling_rate_hz: None }
+            ReadOptions { time_column: Some(name.clone()), time_unit: Some(*unit), ..options }
         }
-        TimeSource::Counted { rate_hz } => ReadOptions { sampling_rate_hz: Some(*rate_hz), ..ReadOptions::default() },
+        TimeSource::Counted { rate_hz } => ReadOptions { sampling_rate_hz: Some(*rate_hz), ..options },
     }
 }
 

@@ -58,9 +58,11 @@ impl TableLayout {
             Some(stated) => Separator::Byte(stated),
         };
         let header = match wanted_column {
-            Some(wanted) => {
-                lines.iter().position(|(_, line)| fields(line, separator(line)).iter().any(|field| field == wanted))
-            }
+            // numbers alone are a row, also if one of them is the number of a column
+            Some(wanted) => lines.iter().position(|(_, line)| {
+                let fields = fields(line, separator(line));
+                fields.iter().any(|field| field == wanted) && !fields.iter().all(|field| is_number(field))
+            }),
             None => (first..lines.len()).find(|index| is_header(&lines, *index, separator)),
         };
         let first_line = lines.get(first).map_or("", |(_, line)| line.as_str());
@@ -249,6 +251,8 @@ mod tests {
     #[test]
     fn table_of_numbers_has_no_header() {
         let layout = TableLayout::find(b"-3.359\t-0.052\n-0.627\t-0.054\n", None);
+        assert_eq!((layout.has_header, layout.lines_before, layout.columns), (false, 0, 2));
+        let layout = TableLayout::find(b"1\t2\n3\t4\n", Some("1"));
         assert_eq!((layout.has_header, layout.lines_before, layout.columns), (false, 0, 2));
     }
 

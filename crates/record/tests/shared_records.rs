@@ -327,7 +327,7 @@ fn compressed_files_of_a_recorder_are_read_behind_their_preamble() {
     let options = ReadOptions {
         time_column: Some("SampleTimeFine".to_owned()),
         time_unit: Some(TimeUnit::Microseconds),
-        sampling_rate_hz: None,
+        ..ReadOptions::default()
     };
     let Some(folder) = at_hand("mini-shake-table/raw") else { return };
     let mut files = 0;

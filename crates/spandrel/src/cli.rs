@@ -283,7 +283,12 @@ pub struct ReadingArguments {
 impl ReadingArguments {
     /// Returns the options of reading.
     pub fn options(&self) -> ReadOptions {
-        ReadOptions { time_column: self.time_column.clone(), time_unit: self.time_unit, sampling_rate_hz: self.rate }
+        ReadOptions {
+            time_column: self.time_column.clone(),
+            time_unit: self.time_unit,
+            sampling_rate_hz: self.rate,
+            ..ReadOptions::default()
+        }
     }
 }
 

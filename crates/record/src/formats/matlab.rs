@@ -12,7 +12,7 @@ use array::Array;
 use crate::bytes::{ByteOrder, Bytes};
 use crate::fault::Fault;
 use crate::recorded::RecordedChannel;
-use crate::unpacked::unpacked;
+use crate::unpacked::UnpackingBudget;
 
 const HEADER_BYTES: usize = 128;
 /// Type of an element that is compressed by zlib.
@@ -40,13 +40,15 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     }
     file.take(2)?;
     let mut variables = Vec::new();
+    let mut budget = UnpackingBudget::new();
     while !file.is_at_end() {
         let start = file.position();
         let (kind, data) = tagged(&mut file)?;
         match kind {
             COMPRESSED => {
                 let decoder = flate2::read::ZlibDecoder::new(data);
-                let element = unpacked(decoder)
+                let element = budget
+                    .unpack(decoder)
                     .map_err(|found| Fault::at_byte(start, "compressed element", found, "data of zlib"))?;
                 let mut element = Bytes::new(&element, file.order);
                 let (kind, data) = tagged(&mut element)
