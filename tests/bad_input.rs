@@ -15,7 +15,7 @@ const BAD_INPUT: i32 = 2;
 const FAILED: i32 = 1;
 
 /// All subcommands.
-const SUBCOMMANDS: [&str; 13] = [
+const SUBCOMMANDS: [&str; 15] = [
     "demo",
     "run",
     "ingest",
@@ -27,6 +27,8 @@ const SUBCOMMANDS: [&str; 13] = [
     "estimate",
     "baseline",
     "check",
+    "info",
+    "convert",
     "validate",
     "watch",
 ];
@@ -244,8 +246,8 @@ fn record_of_another_rate_is_told_both_rates() {
 fn record_of_no_known_format_is_told_the_known_ones() {
     let (site, record, _) = record_with(|text| text);
     let path = record.path().with_extension("xyz");
-    std::fs::copy(record.path(), &path).unwrap();
-    assert_record_refused(&site, &path, &["record.xyz", "no known format", ".csv"]);
+    std::fs::write(&path, [0, 1, 2, 3]).unwrap();
+    assert_record_refused(&site, &path, &["record.xyz", "no known format", "CSV", "miniSEED"]);
 }
 
 #[test]

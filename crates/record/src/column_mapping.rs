@@ -1,21 +1,51 @@
 //! Which column of a file is which channel, and how its numbers become SI.
 
-use crate::{Quantity, RecordError};
+use crate::{Quantity, RecordError, RecordedChannel};
 
 /// Name of the time column where a mapping names no other.
 const DEFAULT_TIME_COLUMN: &str = "time";
 
+/// The unit of times that are numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TimeUnit {
+    /// s.
+    Seconds,
+    /// ms.
+    Milliseconds,
+    /// µs.
+    Microseconds,
+    /// ns.
+    Nanoseconds,
+}
+
+/// Where the times of a file come from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum TimeSource {
+    /// From a column of this name; formats that state their times themselves have none, and the name is not used.
+    Column {
+        /// Its name.
+        name: String,
+        /// The unit of its numbers.
+        unit: TimeUnit,
+    },
+    /// The file has no times: its rows are counted at this rate.
+    Counted {
+        /// Sampling rate in Hz.
+        rate_hz: f64,
+    },
+}
+
 /// Says where each channel and the time stand in a file; the order of the channels is that of the rows read.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnMapping {
-    time_column: String,
+    time: TimeSource,
     channels: Vec<ChannelColumn>,
 }
 
 impl ColumnMapping {
     /// Maps the given channels, with the time in column `time`.
     pub fn new(channels: Vec<ChannelColumn>) -> Self {
-        Self { time_column: DEFAULT_TIME_COLUMN.to_owned(), channels }
+        Self { time: TimeSource::Column { name: DEFAULT_TIME_COLUMN.to_owned(), unit: TimeUnit::Seconds }, channels }
     }
 
     /// Takes each channel from the column of its own name, in SI units.
@@ -25,12 +55,25 @@ impl ColumnMapping {
 
     /// Takes the time from the column of this name.
     pub fn with_time_column(self, name: impl Into<String>) -> Self {
-        Self { time_column: name.into(), ..self }
+        Self { time: TimeSource::Column { name: name.into(), unit: TimeUnit::Seconds }, ..self }
     }
 
-    /// Name of the column of the time.
+    /// Takes the time from wherever `time` says.
+    pub fn with_time(self, time: TimeSource) -> Self {
+        Self { time, ..self }
+    }
+
+    /// Where the time comes from.
+    pub fn time(&self) -> &TimeSource {
+        &self.time
+    }
+
+    /// Name of the column of the time, which a file that is written has in any case.
     pub fn time_column(&self) -> &str {
-        &self.time_column
+        match &self.time {
+            TimeSource::Column { name, .. } => name,
+            TimeSource::Counted { .. } => DEFAULT_TIME_COLUMN,
+        }
     }
 
     /// The channels in the order of the values of a row.
@@ -49,13 +92,14 @@ pub struct ChannelColumn {
     si_from_unit: f64,
     scale: f64,
     offset: f64,
+    file_unit: Option<Quantity>,
 }
 
 impl ChannelColumn {
     /// Takes `channel` from the column of the same name, in SI units.
     pub fn new(channel: impl Into<String>) -> Self {
         let channel = channel.into();
-        Self { column: channel.clone(), channel, si_from_unit: 1.0, scale: 1.0, offset: 0.0 }
+        Self { column: channel.clone(), channel, si_from_unit: 1.0, scale: 1.0, offset: 0.0, file_unit: None }
     }
 
     /// Takes the channel from the column of this name.
@@ -76,6 +120,26 @@ impl ChannelColumn {
                 quantity: quantity.name(),
                 allowed: quantity.allowed_units(),
             }),
+        }
+    }
+
+    /// Declares that the channel is a `quantity` in the unit that the recording states; in SI units if it states none that
+    /// is known. The calibration acts after it.
+    pub fn in_unit_of_file(self, quantity: Quantity) -> Self {
+        Self { file_unit: Some(quantity), ..self }
+    }
+
+    /// Factor from the numbers of a recorded channel to SI, by the unit that the recording states, if that counts.
+    pub(crate) fn si_from_file(&self, recorded: &RecordedChannel) -> Result<f64, RecordError> {
+        match (self.file_unit, recorded.quantity(), recorded.unit()) {
+            (Some(quantity), Some((found, _)), Some(unit)) if found != quantity => Err(RecordError::Unit {
+                channel: self.channel.clone(),
+                found: unit.to_owned(),
+                quantity: quantity.name(),
+                allowed: quantity.allowed_units(),
+            }),
+            (Some(_), Some((_, si_from_unit)), _) => Ok(si_from_unit),
+            (Some(_) | None, _, _) => Ok(1.0),
         }
     }
 
@@ -103,6 +167,12 @@ impl ChannelColumn {
         &self.column
     }
 
+    /// The unit that a file which is written can state: that of SI, if the numbers are in it and the quantity is known.
+    pub(crate) fn stated_unit(&self) -> &'static str {
+        let is_si = self.si_from_unit == 1.0 && self.scale == 1.0 && self.offset == 0.0;
+        self.file_unit.filter(|_| is_si).map_or("", Quantity::si_unit)
+    }
+
     /// Takes a number in the file to SI.
     pub(crate) fn si_from_number(&self, number: f64) -> f64 {
         let is_si = self.si_from_unit == 1.0 && self.scale == 1.0 && self.offset == 0.0;
@@ -119,6 +189,29 @@ impl ChannelColumn {
             return value; // to the same bits
         }
         (value / self.si_from_unit - self.offset) / self.scale
+    }
+}
+
+impl TimeUnit {
+    /// Digits that a number of this unit has after the point when it is known to the nanosecond.
+    pub(crate) fn fraction_digits(self) -> usize {
+        match self {
+            Self::Seconds => 9,
+            Self::Milliseconds => 6,
+            Self::Microseconds => 3,
+            Self::Nanoseconds => 0,
+        }
+    }
+
+    /// The unit of this symbol: `s`, `ms`, `us`, `µs` or `ns`.
+    pub fn of_symbol(symbol: &str) -> Option<Self> {
+        match symbol {
+            "s" => Some(Self::Seconds),
+            "ms" => Some(Self::Milliseconds),
+            "us" | "µs" => Some(Self::Microseconds),
+            "ns" => Some(Self::Nanoseconds),
+            _ => None,
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! Reads comma-separated records: a time and one column per channel.
 
 use std::{
+    borrow::Cow,
     fs::File,
     io::Read,
     path::{Path, PathBuf},
@@ -9,25 +10,38 @@ use std::{
 use csv::{ByteRecord, ReaderBuilder, Terminator};
 
 use crate::{
-    ChannelColumn, ColumnMapping, RecordError, RecordReader, Row,
+    ChannelColumn, ColumnMapping, RecordError, RecordReader, Row, TimeSource, TimeUnit,
     record_time::{TimeForm, seconds_text},
+    table_layout::{HEAD_BYTES, Separator, SingleBlanks, TableLayout},
 };
 
 /// Reads a CSV record row by row.
 ///
-/// The first line names the columns. An empty field, or `NaN` as numerical programs print it, is a missing sample.
-/// Columns that the mapping does not name are ignored.
+/// A line names the columns: the first one, or the first of 50 that names the column of the time. A table of numbers alone
+/// has columns `1`, `2` and so on. Columns are separated by commas, semicolons, tabulators or blanks; numbers may have a
+/// decimal comma where commas do not separate. An empty field, or `NaN` as numerical programs print it, is a missing
+/// sample. Columns that the mapping does not name are ignored.
 pub struct CsvReader {
     path: PathBuf,
     csv: csv::Reader<Box<dyn Read + Send>>,
     record: ByteRecord,
+    layout: TableLayout,
+    /// the header is read, or the first row, that stands in its place, is still in `record`
+    has_row: bool,
     fields_per_row: usize,
-    time_index: usize,
+    time: RowTime,
     time_form: Option<TimeForm>,
     previous_time_ns: Option<i64>,
     channels: Vec<String>,
     columns: Vec<(usize, ChannelColumn)>,
     values: Vec<f64>,
+}
+
+/// Where the time of a row comes from.
+#[derive(Debug, Clone, Copy)]
+enum RowTime {
+    Column { index: usize, unit: TimeUnit },
+    Counted { rate_hz: f64, rows: u64 },
 }
 
 impl CsvReader {
@@ -46,8 +60,22 @@ impl CsvReader {
     /// As [`CsvReader::open`].
     pub fn new(input: Box<dyn Read + Send>, path: &Path, mapping: &ColumnMapping) -> Result<Self, RecordError> {
         let path = path.to_owned();
-        let input: Box<dyn Read + Send> = Box::new(input.chain(END_OF_LAST_LINE));
+        let refused = |source: std::io::Error| RecordError::Read { path: path.clone(), line: 1, source: source.into() };
+        let mut input = input;
+        let mut head = Vec::new();
+        input.by_ref().take(HEAD_BYTES).read_to_end(&mut head).map_err(refused)?;
+        let wanted = match mapping.time() {
+            TimeSource::Column { name, .. } => Some(name.as_str()),
+            TimeSource::Counted { .. } => mapping.channels().first().map(ChannelColumn::column),
+        };
+        let layout = TableLayout::find(&head, wanted);
+        let rest = std::io::Cursor::new(head.split_off(layout.bytes_before)).chain(input).chain(END_OF_LAST_LINE);
+        let input: Box<dyn Read + Send> = match layout.separator {
+            Separator::Byte(_) => Box::new(rest),
+            Separator::Blanks => Box::new(SingleBlanks::new(rest)),
+        };
         let mut csv = ReaderBuilder::new()
+            .delimiter(layout.delimiter())
             .flexible(true) // we report ragged rows ourselves, with our line numbers
             .has_headers(false)
             // Of the CR LF of Windows the CR stays with the last field and is trimmed as white space. As a terminator it
@@ -58,19 +86,23 @@ impl CsvReader {
         let mut record = ByteRecord::new();
         csv.read_byte_record(&mut record).map_err(|source| RecordError::Read {
             path: path.clone(),
-            line: 1,
+            line: 1 + layout.lines_before,
             source,
         })?;
-        let header: Vec<String> =
-            record.iter().map(|field| String::from_utf8_lossy(field.trim_ascii()).into_owned()).collect();
+        let header: Vec<String> = match layout.has_header {
+            true => record.iter().map(|field| String::from_utf8_lossy(field.trim_ascii()).into_owned()).collect(),
+            false => (1..=record.len()).map(|number| number.to_string()).collect(),
+        };
 
-        let (time_index, columns) = locate_columns(&path, &header, mapping)?;
+        let (time, columns) = locate_columns(&path, 1 + layout.lines_before, &header, mapping)?;
         Ok(Self {
             path,
             csv,
             record,
+            has_row: !layout.has_header,
+            layout,
             fields_per_row: header.len(),
-            time_index,
+            time,
             time_form: None,
             previous_time_ns: None,
             channels: mapping.channels().iter().map(|column| column.channel().to_owned()).collect(),
@@ -81,9 +113,13 @@ impl CsvReader {
 
     /// Reads the next record that is not blank, and gives the line on which it ends; `None` at the end of the file.
     fn read_record(&mut self) -> Result<Option<u64>, RecordError> {
+        let before = self.layout.lines_before;
+        if std::mem::take(&mut self.has_row) {
+            return Ok(Some(before + 1));
+        }
         loop {
             let is_record = self.csv.read_byte_record(&mut self.record).map_err(|source| {
-                let line = self.csv.position().line();
+                let line = before + self.csv.position().line();
                 RecordError::Read { path: self.path.clone(), line, source }
             })?;
             if !is_record {
@@ -91,21 +127,30 @@ impl CsvReader {
             }
             let is_blank = self.record.len() == 1 && self.record[0].trim_ascii().is_empty();
             if !is_blank {
-                return Ok(Some(self.csv.position().line() - 1)); // the reader is on the line after
+                return Ok(Some(before + self.csv.position().line() - 1)); // the reader is on the line after
             }
         }
     }
 
     /// Reads the time of the record at hand and checks that it increases.
     fn parse_time(&mut self, line: u64) -> Result<i64, RecordError> {
-        let text = field_text(&self.record, self.time_index);
+        let (index, unit) = match &mut self.time {
+            RowTime::Column { index, unit } => (*index, *unit),
+            RowTime::Counted { rate_hz, rows } => {
+                let time_ns = (*rows as f64 * 1e9 / *rate_hz).round() as i64;
+                *rows += 1;
+                return Ok(time_ns);
+            }
+        };
+        let text = field_text(&self.record, index, self.layout.has_decimal_comma);
+        let text = text.as_deref();
         let bad_time =
             |allowed| RecordError::BadTime { path: self.path.clone(), line, found: text_for_error(text), allowed };
         let form = match self.time_form {
             Some(form) => form,
             None => text.and_then(TimeForm::of).ok_or_else(|| bad_time("seconds or ISO 8601"))?,
         };
-        let time_ns = text.and_then(|text| form.parse_ns(text)).ok_or_else(|| bad_time(form.name()))?;
+        let time_ns = text.and_then(|text| form.parse_ns(text, unit)).ok_or_else(|| bad_time(form.name()))?;
         if let Some(previous_ns) = self.previous_time_ns.filter(|previous_ns| time_ns <= *previous_ns) {
             return Err(RecordError::TimeNotIncreasing {
                 path: self.path.clone(),
@@ -143,7 +188,8 @@ impl RecordReader for CsvReader {
         }
         let time_ns = self.parse_time(line)?;
         for (value, (index, column)) in self.values.iter_mut().zip(&self.columns) {
-            let text = field_text(&self.record, *index);
+            let text = field_text(&self.record, *index, self.layout.has_decimal_comma);
+            let text = text.as_deref();
             *value = text.and_then(|text| parse_sample(text, column)).ok_or_else(|| RecordError::BadNumber {
                 path: self.path.clone(),
                 line,
@@ -163,10 +209,15 @@ const READ_BUFFER_BYTES: usize = 64 * 1024;
 /// Finds the columns of the mapping in the header: that of the time, and those of the channels.
 fn locate_columns(
     path: &Path,
+    line: u64,
     header: &[String],
     mapping: &ColumnMapping,
-) -> Result<(usize, Vec<(usize, ChannelColumn)>), RecordError> {
-    let needed = || std::iter::once(mapping.time_column()).chain(mapping.channels().iter().map(ChannelColumn::column));
+) -> Result<(RowTime, Vec<(usize, ChannelColumn)>), RecordError> {
+    let time_column = match mapping.time() {
+        TimeSource::Column { name, .. } => Some(name.as_str()),
+        TimeSource::Counted { .. } => None,
+    };
+    let needed = || time_column.into_iter().chain(mapping.channels().iter().map(ChannelColumn::column));
     let mut missing: Vec<String> = Vec::new();
     let mut indices = Vec::new();
     for name in needed() {
@@ -174,18 +225,20 @@ fn locate_columns(
         match (found.next(), found.next()) {
             (Some(index), None) => indices.push(index),
             (Some(_), Some(_)) => {
-                return Err(RecordError::RepeatedColumn { path: path.to_owned(), column: name.to_owned() });
+                return Err(RecordError::RepeatedColumn { path: path.to_owned(), line, column: name.to_owned() });
             }
             (None, _) => missing.push(name.to_owned()),
         }
     }
-    match indices.split_first() {
-        Some((time_index, channel_indices)) if missing.is_empty() => {
-            let columns = channel_indices.iter().copied().zip(mapping.channels().iter().cloned()).collect();
-            Ok((*time_index, columns))
-        }
-        _ => Err(RecordError::MissingColumns { path: path.to_owned(), missing, found: header.to_vec() }),
+    if !missing.is_empty() {
+        return Err(RecordError::MissingColumns { path: path.to_owned(), line, missing, found: header.to_vec() });
     }
+    let mut indices = indices.into_iter();
+    let time = match mapping.time() {
+        TimeSource::Column { unit, .. } => RowTime::Column { index: indices.next().unwrap_or(0), unit: *unit },
+        TimeSource::Counted { rate_hz } => RowTime::Counted { rate_hz: *rate_hz, rows: 0 },
+    };
+    Ok((time, indices.zip(mapping.channels().iter().cloned()).collect()))
 }
 
 /// Reads a sample in SI; `NaN` if it is missing, `None` if it is no finite number.
@@ -200,9 +253,13 @@ fn parse_sample(text: &str, column: &ChannelColumn) -> Option<f64> {
     Some(column.si_from_number(number)).filter(|value| value.is_finite())
 }
 
-/// A field without white space around it; `None` if it is no UTF-8.
-fn field_text(record: &ByteRecord, index: usize) -> Option<&str> {
-    record.get(index).and_then(|field| std::str::from_utf8(field.trim_ascii()).ok())
+/// A field without white space around it, decimal commas as points; `None` if it is no UTF-8.
+fn field_text(record: &ByteRecord, index: usize, has_decimal_comma: bool) -> Option<Cow<'_, str>> {
+    let text = record.get(index).and_then(|field| std::str::from_utf8(field.trim_ascii()).ok())?;
+    match has_decimal_comma && text.contains(',') {
+        true => Some(Cow::Owned(text.replace(',', "."))),
+        false => Some(Cow::Borrowed(text)),
+    }
 }
 
 fn text_for_error(text: Option<&str>) -> String {

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::Fault;
+
 /// Why a recording could not be read or written; lines count from 1, the header included.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
@@ -13,13 +15,134 @@ pub enum RecordError {
         /// What the operating system said.
         source: std::io::Error,
     },
-    /// The end of the file name is that of no known format.
-    #[error("{}: is of no known format, must end in {}", path.display(), allowed.join(", "))]
+    /// Neither the content nor the name of a file is that of a known format.
+    #[error("{}: is of no known format, must be one of {}", path.display(), allowed.join(", "))]
     UnknownFormat {
+        /// The file.
+        path: PathBuf,
+        /// The known formats.
+        allowed: Vec<&'static str>,
+    },
+    /// The content of a file breaks the rules of its format.
+    #[error("{}: {format}: {fault}", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// Its format in words.
+        format: &'static str,
+        /// Where and what.
+        fault: Box<Fault>,
+    },
+    /// The file could not be read: input/output.
+    #[error("{}: cannot be read", path.display())]
+    ReadFile {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// Channels that the mapping needs are not in the recording.
+    #[error("{}: has no channel {}; its channels are {}", path.display(), quoted(missing), quoted(found))]
+    MissingChannels {
+        /// The file.
+        path: PathBuf,
+        /// All needed channels that are not there.
+        missing: Vec<String>,
+        /// Those that are there.
+        found: Vec<String>,
+    },
+    /// The file states no sampling rate of a channel.
+    #[error(
+        "{}: states no sampling rate of channel `{channel}`; declare one",
+        path.display()
+    )]
+    NoSamplingRate {
+        /// The file.
+        path: PathBuf,
+        /// The channel.
+        channel: String,
+    },
+    /// Channels are not sampled alike, so that they have no rows in common.
+    #[error(
+        "{}: channel `{channel}` is sampled at {found_hz:.4} Hz, must be {first_hz:.4} Hz as `{first}`; resample them",
+        path.display()
+    )]
+    UnequalRates {
+        /// The file.
+        path: PathBuf,
+        /// The channel.
+        channel: String,
+        /// Its rate, in Hz.
+        found_hz: f64,
+        /// The first channel.
+        first: String,
+        /// Its rate, in Hz.
+        first_hz: f64,
+    },
+    /// One channel has times of day, another counts from the start of the recording.
+    #[error(
+        "{}: channels `{first}` and `{channel}`: one has a date and the other has none, must be both or neither",
+        path.display()
+    )]
+    UnequalOrigins {
+        /// The file.
+        path: PathBuf,
+        /// The channel.
+        channel: String,
+        /// The first channel.
+        first: String,
+    },
+    /// Two rates have no ratio that a filter can be made for.
+    #[error(
+        "{}: channel `{channel}` cannot be resampled from {from_hz} Hz to {to_hz} Hz: their ratio must be one of whole \
+         numbers up to {largest}",
+        path.display()
+    )]
+    Resampling {
+        /// The file.
+        path: PathBuf,
+        /// The channel.
+        channel: String,
+        /// Its rate, in Hz.
+        from_hz: f64,
+        /// The rate asked for, in Hz.
+        to_hz: f64,
+        /// Largest whole number.
+        largest: u64,
+    },
+    /// A rate that was declared is no rate.
+    #[error("sampling rate is {found_hz} Hz, must be positive and finite")]
+    DeclaredRate {
+        /// The rate found, in Hz.
+        found_hz: f64,
+    },
+    /// The name of a file to be written tells no format.
+    #[error("{}: cannot be written, its name must end in {}", path.display(), allowed.join(" or "))]
+    UnknownOutput {
         /// The file.
         path: PathBuf,
         /// The known ends of file names.
         allowed: &'static [&'static str],
+    },
+    /// A sample cannot be written to MCAP.
+    #[error("{}: sample {value} at {time_ns} ns cannot be written, {what}", path.display())]
+    NotWritable {
+        /// The file.
+        path: PathBuf,
+        /// Time of the sample in ns.
+        time_ns: i64,
+        /// The sample.
+        value: f64,
+        /// What is allowed.
+        what: &'static str,
+    },
+    /// Writing an MCAP file failed.
+    #[error("{}: cannot be written", path.display())]
+    WriteMcap {
+        /// The file.
+        path: PathBuf,
+        /// What the writer said.
+        source: Box<mcap::McapError>,
     },
     /// Reading failed below the level of records: input/output.
     #[error("{}:{line}: cannot be read", path.display())]
@@ -43,22 +166,26 @@ pub enum RecordError {
     },
     /// Columns that the mapping needs are not in the header.
     #[error(
-        "{}:1: has no column {}; its columns are {}",
+        "{}:{line}: has no column {}; its columns are {}",
         path.display(), quoted(missing), quoted(found)
     )]
     MissingColumns {
         /// The file.
         path: PathBuf,
+        /// Line of the header.
+        line: u64,
         /// All needed columns that are not there.
         missing: Vec<String>,
         /// The header as found.
         found: Vec<String>,
     },
     /// A column that the mapping needs is in the header more than once.
-    #[error("{}:1: column `{column}` is there more than once, must be there once", path.display())]
+    #[error("{}:{line}: column `{column}` is there more than once, must be there once", path.display())]
     RepeatedColumn {
         /// The file.
         path: PathBuf,
+        /// Line of the header.
+        line: u64,
         /// Its name.
         column: String,
     },

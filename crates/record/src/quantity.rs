@@ -26,7 +26,29 @@ pub enum Quantity {
     AngularAcceleration,
     /// Strain and other ratios, SI unit 1.
     Strain,
+    /// Pressure, SI unit Pa.
+    Pressure,
+    /// Electric voltage, SI unit V.
+    Voltage,
+    /// Temperature, as °C: differences are what counts, and no offset is added.
+    Temperature,
 }
+
+/// All quantities, in the order in which a unit is looked for.
+const ALL: [Quantity; 12] = [
+    Quantity::Acceleration,
+    Quantity::Velocity,
+    Quantity::Displacement,
+    Quantity::Force,
+    Quantity::Moment,
+    Quantity::Rotation,
+    Quantity::AngularVelocity,
+    Quantity::AngularAcceleration,
+    Quantity::Strain,
+    Quantity::Pressure,
+    Quantity::Voltage,
+    Quantity::Temperature,
+];
 
 /// Standard gravity in m/s².
 const STANDARD_GRAVITY: f64 = 9.80665;
@@ -56,12 +78,28 @@ impl Quantity {
             Self::Strain => {
                 &[("1", 1.0), ("m/m", 1.0), ("mm/m", 1e-3), ("microstrain", 1e-6), ("um/m", 1e-6), ("%", 1e-2)]
             }
+            Self::Pressure => &[("Pa", 1.0), ("hPa", 1e2), ("kPa", 1e3), ("MPa", 1e6), ("mbar", 1e2), ("bar", 1e5)],
+            Self::Voltage => &[("V", 1.0), ("mV", 1e-3), ("uV", 1e-6)],
+            Self::Temperature => &[("degC", 1.0), ("°C", 1.0)],
         }
     }
 
     /// Factor that takes a value in `unit` to SI; `None` if it is no unit of this quantity.
     pub fn si_from(self, unit: &str) -> Option<f64> {
         self.units().iter().find(|(symbol, _)| *symbol == unit).map(|(_, factor)| *factor)
+    }
+
+    /// The quantity of a unit as files write it, and the factor that takes a value to SI; `None` if it is not known.
+    ///
+    /// `CM/SEC/SEC`, `cm/s^2` and `cm/s2` are the same. Lengths alone (`m`) are displacements.
+    pub fn of_unit(unit: &str) -> Option<(Self, f64)> {
+        let exact = |symbol: &str| ALL.into_iter().find_map(|quantity| Some((quantity, quantity.si_from(symbol)?)));
+        exact(unit).or_else(|| exact(&plain(unit)))
+    }
+
+    /// The SI unit.
+    pub fn si_unit(self) -> &'static str {
+        self.units().first().map_or("1", |(symbol, _)| *symbol)
     }
 
     /// The units of this quantity, the SI unit first.
@@ -81,8 +119,19 @@ impl Quantity {
             Self::AngularVelocity => "angular velocity",
             Self::AngularAcceleration => "angular acceleration",
             Self::Strain => "strain",
+            Self::Pressure => "pressure",
+            Self::Voltage => "voltage",
+            Self::Temperature => "temperature",
         }
     }
+}
+
+/// A unit as seismological files write it, in the writing of this module.
+fn plain(unit: &str) -> String {
+    let lower = unit.trim().to_ascii_lowercase();
+    let seconds = lower.replace("seconds", "s").replace("second", "s").replace("sec", "s");
+    let squared = seconds.replace("/s/s", "/s2").replace("**2", "2").replace(['^', ' '], "").replace('²', "2");
+    squared.trim_end_matches('.').replace(['µ', 'μ'], "u") // micro sign and Greek mu
 }
 
 #[cfg(test)]
@@ -97,6 +146,21 @@ mod tests {
         assert_eq!(Quantity::Force.si_from("kN"), Some(1000.0));
         assert_eq!(Quantity::Strain.si_from("microstrain"), Some(1e-6));
         assert_eq!(Quantity::Rotation.si_from("deg"), Some(0.017_453_292_519_943_295));
+    }
+
+    #[test]
+    fn units_as_files_write_them_are_known() {
+        for unit in ["cm/sec2", "CM/SEC/SEC", "cm/s^2", "cm/sec2.", "cm/s²", "gal"] {
+            assert_eq!(Quantity::of_unit(unit), Some((Quantity::Acceleration, 0.01)), "{unit}");
+        }
+        assert_eq!(Quantity::of_unit("G"), Some((Quantity::Acceleration, 9.80665)));
+        assert_eq!(Quantity::of_unit("CM/SEC"), Some((Quantity::Velocity, 0.01)));
+        assert_eq!(Quantity::of_unit("CM"), Some((Quantity::Displacement, 0.01)));
+        assert_eq!(Quantity::of_unit("µm/m"), Some((Quantity::Strain, 1e-6)));
+        assert_eq!(Quantity::of_unit("Pa"), Some((Quantity::Pressure, 1.0)));
+        assert_eq!(Quantity::of_unit("kN"), Some((Quantity::Force, 1000.0)));
+        assert_eq!(Quantity::of_unit("MN"), Some((Quantity::Force, 1e6)), "and not a milli");
+        assert_eq!(Quantity::of_unit("counts"), None);
     }
 
     #[test]

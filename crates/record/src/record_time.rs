@@ -6,9 +6,9 @@ use std::fmt::Write as _;
 
 use jiff::{Timestamp, civil::DateTime, tz::TimeZone};
 
+use crate::TimeUnit;
+
 const NANOSECONDS_PER_SECOND: i64 = 1_000_000_000;
-/// Digits after the point that a nanosecond needs.
-const FRACTION_DIGITS: usize = 9;
 
 /// The form of the times of one file; a file does not mix them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,10 +26,10 @@ impl TimeForm {
         iso_8601_to_ns(text).map(|_| Self::Iso8601)
     }
 
-    /// Reads a time of this form in ns.
-    pub(crate) fn parse_ns(self, text: &str) -> Option<i64> {
+    /// Reads a time of this form in ns; numbers are in `unit`.
+    pub(crate) fn parse_ns(self, text: &str, unit: TimeUnit) -> Option<i64> {
         match self {
-            Self::Seconds => seconds_to_ns(text),
+            Self::Seconds => number_to_ns(text, unit.fraction_digits()),
             Self::Iso8601 => iso_8601_to_ns(text),
         }
     }
@@ -37,20 +37,25 @@ impl TimeForm {
     /// The form in words.
     pub(crate) fn name(self) -> &'static str {
         match self {
-            Self::Seconds => "in seconds as the first time of the file",
+            Self::Seconds => "a number as the first time of the file",
             Self::Iso8601 => "in ISO 8601 as the first time of the file",
         }
     }
 }
 
-/// Reads seconds as nanoseconds: round(seconds × 10⁹), half away from zero; `None` if it is no number or out of range.
+/// Reads seconds as nanoseconds.
 fn seconds_to_ns(text: &str) -> Option<i64> {
+    number_to_ns(text, TimeUnit::Seconds.fraction_digits())
+}
+
+/// Reads a number as nanoseconds: round(number × 10^digits), half away from zero; `None` if it is no number or out of range.
+fn number_to_ns(text: &str, fraction_digits: usize) -> Option<i64> {
     let (sign, digits) = match text.strip_prefix('-') {
         Some(rest) => (-1, rest),
         None => (1, text.strip_prefix('+').unwrap_or(text)),
     };
     if digits.contains(['e', 'E']) {
-        return exponent_seconds_to_ns(text);
+        return exponent_to_ns(text, fraction_digits);
     }
     let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
     let is_number = !(whole.is_empty() && fraction.is_empty())
@@ -58,20 +63,21 @@ fn seconds_to_ns(text: &str) -> Option<i64> {
     if !is_number {
         return None;
     }
-    let whole_s: i64 = if whole.is_empty() { 0 } else { whole.parse().ok()? };
+    let whole: i64 = if whole.is_empty() { 0 } else { whole.parse().ok()? };
     let mut nanoseconds = 0;
-    for place in 0..FRACTION_DIGITS {
+    for place in 0..fraction_digits {
         let digit = fraction.as_bytes().get(place).map_or(0, |byte| i64::from(byte - b'0'));
         nanoseconds = nanoseconds * 10 + digit;
     }
-    let rounds_up = fraction.as_bytes().get(FRACTION_DIGITS).is_some_and(|byte| *byte >= b'5');
-    let magnitude = whole_s.checked_mul(NANOSECONDS_PER_SECOND)?.checked_add(nanoseconds + i64::from(rounds_up))?;
+    let rounds_up = fraction.as_bytes().get(fraction_digits).is_some_and(|byte| *byte >= b'5');
+    let magnitude =
+        whole.checked_mul(10_i64.pow(fraction_digits as u32))?.checked_add(nanoseconds + i64::from(rounds_up))?;
     Some(sign * magnitude)
 }
 
-/// Reads seconds with an exponent, as programs print very small times, through `f64`.
-fn exponent_seconds_to_ns(text: &str) -> Option<i64> {
-    let nanoseconds = (text.parse::<f64>().ok()? * NANOSECONDS_PER_SECOND as f64).round();
+/// Reads a number with an exponent, as programs print very small times, through `f64`.
+fn exponent_to_ns(text: &str, fraction_digits: usize) -> Option<i64> {
+    let nanoseconds = (text.parse::<f64>().ok()? * 10_f64.powi(fraction_digits as i32)).round();
     let is_in_range = nanoseconds.abs() < i64::MAX as f64;
     is_in_range.then_some(nanoseconds as i64)
 }
@@ -83,6 +89,30 @@ fn iso_8601_to_ns(text: &str) -> Option<i64> {
         Err(_) => text.parse::<DateTime>().ok()?.to_zoned(TimeZone::UTC).ok()?.timestamp(),
     };
     i64::try_from(timestamp.as_nanosecond()).ok()
+}
+
+/// Nanoseconds since 1970 of a date and time of day in UTC; `None` if there is no such date. A leap second is the next one.
+pub(crate) fn civil_ns(year: i64, month: i64, day: i64, hour: i64, minute: i64, second: f64) -> Option<i64> {
+    let date =
+        jiff::civil::Date::new(i16::try_from(year).ok()?, i8::try_from(month).ok()?, i8::try_from(day).ok()?).ok()?;
+    ns_of(date, hour, minute, second)
+}
+
+/// As [`civil_ns`], with the day of the year, from 1.
+pub(crate) fn day_of_year_ns(year: i64, day: i64, hour: i64, minute: i64, second: f64) -> Option<i64> {
+    let first = jiff::civil::Date::new(i16::try_from(year).ok()?, 1, 1).ok()?;
+    if !(1..=i64::from(first.days_in_year())).contains(&day) {
+        return None;
+    }
+    ns_of(first.checked_add(jiff::Span::new().days(day - 1)).ok()?, hour, minute, second)
+}
+
+fn ns_of(date: jiff::civil::Date, hour: i64, minute: i64, second: f64) -> Option<i64> {
+    let is_time = (0..24).contains(&hour) && (0..60).contains(&minute) && (0.0..61.0).contains(&second);
+    let midnight = date.to_zoned(TimeZone::UTC).ok().filter(|_| is_time)?.timestamp();
+    let whole_s = midnight.as_second() + 3600 * hour + 60 * minute;
+    let fraction_ns = (second * NANOSECONDS_PER_SECOND as f64).round() as i64;
+    whole_s.checked_mul(NANOSECONDS_PER_SECOND)?.checked_add(fraction_ns)
 }
 
 /// Writes `time_ns` in seconds with as many digits as it needs, so that it reads back as the same nanosecond.
@@ -102,6 +132,12 @@ pub fn write_seconds(time_ns: i64, text: &mut String) {
         let _ = write!(text, ".{fraction:09}");
         text.truncate(text.trim_end_matches('0').len());
     }
+}
+
+/// `time_ns` since 1970 as a date and time of day in UTC, ISO 8601.
+pub(crate) fn iso_text(time_ns: i64) -> String {
+    Timestamp::from_nanosecond(i128::from(time_ns))
+        .map_or_else(|_| seconds_text(time_ns), |timestamp| timestamp.to_string())
 }
 
 /// `time_ns` in seconds as decimal text.
@@ -134,6 +170,17 @@ mod tests {
         ] {
             assert_eq!(seconds_to_ns(text), Some(expected), "{text}");
         }
+    }
+
+    #[test]
+    fn numbers_of_smaller_units_are_read_to_the_digit() {
+        assert_eq!(TimeForm::Seconds.parse_ns("991011697", TimeUnit::Microseconds), Some(991_011_697_000));
+        assert_eq!(TimeForm::Seconds.parse_ns("1.0000005", TimeUnit::Milliseconds), Some(1_000_001));
+        assert_eq!(
+            TimeForm::Seconds.parse_ns("1700000000123456789", TimeUnit::Nanoseconds),
+            Some(1_700_000_000_123_456_789)
+        );
+        assert_eq!(TimeForm::Seconds.parse_ns("0.5", TimeUnit::Nanoseconds), Some(1));
     }
 
     #[test]

@@ -1,8 +1,11 @@
 //! A file of any format with its sampling rate, and its offsets removed.
 
-use std::{collections::VecDeque, path::Path};
+use std::{collections::VecDeque, fs::File, io::Read, path::Path};
 
-use crate::{ColumnMapping, CsvReader, RecordError, RecordReader, Row};
+use crate::{
+    ColumnMapping, CsvReader, Format, ReadOptions, RecordError, RecordReader, RecordedFile, RecordedRows, Row,
+    TableUnits, TimeSource, rate::rate_from_times, table_layout::HEAD_BYTES,
+};
 
 /// Whether the constant part of each channel is taken away, such as the tilt of an accelerometer.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,8 +31,18 @@ pub struct Recording {
     values: Vec<f64>,
 }
 
-/// Ends of file names that [`Recording::open`] knows.
-const FORMATS: &[&str] = &[".csv"];
+/// Whether a recording is brought to another rate while it is read.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Resampling {
+    /// Samples stay as they are in the file.
+    None,
+    /// All channels are brought to one rate, through a filter against aliasing; the whole file is in memory.
+    To {
+        /// The rate, in Hz.
+        rate_hz: f64,
+    },
+}
+
 /// Rows that the sampling rate is found from: enough that times rounded to milliseconds average out below
 /// [`RATE_TOLERANCE`] up to 1000 Hz.
 const RATE_ROWS: usize = 1001;
@@ -38,24 +51,38 @@ const RATE_ROWS: usize = 1001;
 const RATE_TOLERANCE: f64 = 1e-3;
 
 impl Recording {
-    /// Opens a file of a known format, told by the end of its name.
+    /// Opens a file of any known format, told by its content and then by its name.
+    ///
+    /// Tables are read row by row, other formats are held in memory.
     ///
     /// # Errors
     /// The format is unknown, the file does not fit the mapping, or one of its first rows is wrong.
     pub fn open(path: &Path, mapping: &ColumnMapping, offset: OffsetRemoval) -> Result<Self, RecordError> {
-        Self::check_format(path)?;
-        Self::new(Box::new(CsvReader::open(path, mapping)?), offset)
+        Self::open_resampled(path, mapping, offset, Resampling::None)
     }
 
-    /// Checks that the end of a file name tells a known format.
+    /// As [`Recording::open`], at another rate if `resampling` says so. Offsets are removed afterwards.
     ///
     /// # Errors
-    /// It does not.
-    pub fn check_format(path: &Path) -> Result<(), RecordError> {
-        match path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("csv")) {
-            true => Ok(()),
-            false => Err(RecordError::UnknownFormat { path: path.to_owned(), allowed: FORMATS }),
-        }
+    /// As [`Recording::open`]; or the rate is none, or the file states none of its own.
+    pub fn open_resampled(
+        path: &Path,
+        mapping: &ColumnMapping,
+        offset: OffsetRemoval,
+        resampling: Resampling,
+    ) -> Result<Self, RecordError> {
+        let reader: Box<dyn RecordReader> = match resampling {
+            Resampling::None => match table_reader(path, mapping)? {
+                Some(reader) => Box::new(reader),
+                None => Box::new(RecordedRows::new(&RecordedFile::read(path, &options_of(mapping))?, mapping)?),
+            },
+            Resampling::To { rate_hz } => {
+                // channels that are not asked for are not filtered
+                let file = RecordedFile::read(path, &options_of(mapping))?.only(mapping);
+                Box::new(RecordedRows::new(&file.resampled(rate_hz)?, mapping)?)
+            }
+        };
+        Self::new(reader, offset)
     }
 
     /// Looks ahead into any reader.
@@ -125,6 +152,42 @@ impl Recording {
     }
 }
 
+/// Opens a table, compressed by gzip or not, to be read row by row; `None` if the file is something else.
+fn table_reader(path: &Path, mapping: &ColumnMapping) -> Result<Option<CsvReader>, RecordError> {
+    if path.is_dir() {
+        return Ok(None);
+    }
+    let open = || File::open(path).map_err(|source| RecordError::Open { path: path.to_owned(), source });
+    let head = |input: &mut dyn Read| {
+        let mut head = Vec::new();
+        input.take(HEAD_BYTES).read_to_end(&mut head).map(|_| head)
+    };
+    let refused = |source| RecordError::ReadFile { path: path.to_owned(), source };
+    match Format::of(&head(&mut open()?).map_err(refused)?, path) {
+        Some(Format::Table) => CsvReader::open(path, mapping).map(Some),
+        Some(Format::Gzip) => {
+            let inner = path.with_extension("");
+            let unpacked = || open().map(flate2::read::MultiGzDecoder::new);
+            match Format::of(&head(&mut unpacked()?).map_err(refused)?, &inner) {
+                Some(Format::Table) => CsvReader::new(Box::new(unpacked()?), path, mapping).map(Some),
+                Some(_) | None => Ok(None),
+            }
+        }
+        Some(_) | None => Ok(None),
+    }
+}
+
+/// What a mapping says of a file that says too little. A mapping names columns as they are called, brackets included.
+fn options_of(mapping: &ColumnMapping) -> ReadOptions {
+    let options = ReadOptions { table_units: TableUnits::Unstated, ..ReadOptions::default() };
+    match mapping.time() {
+        TimeSource::Column { name, unit } => {
+            ReadOptions { time_column: Some(name.clone()), time_unit: Some(*unit), ..options }
+        }
+        TimeSource::Counted { rate_hz } => ReadOptions { sampling_rate_hz: Some(*rate_hz), ..options },
+    }
+}
+
 impl RecordReader for Recording {
     fn path(&self) -> &Path {
         self.reader.path()
@@ -175,20 +238,6 @@ impl RunningMean {
     fn mean(&self) -> Option<f64> {
         (self.count > 0).then(|| self.sum / f64::from(self.count))
     }
-}
-
-/// Sampling rate in Hz from times in ns; `None` if there are fewer than two.
-///
-/// The median step tells what is a gap (more than half a step off); the mean of the others is the step. The median alone
-/// would not do: times rounded to milliseconds at 120 Hz have the steps 8, 8, 9 ms, and a median of 125 Hz.
-fn rate_from_times(times_ns: &[i64]) -> Option<f64> {
-    let mut steps_ns: Vec<i64> = times_ns.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
-    steps_ns.sort_unstable();
-    let median_ns = *steps_ns.get(steps_ns.len() / 2)?;
-    let regular = steps_ns.iter().filter(|step_ns| (**step_ns - median_ns).abs() <= median_ns / 2);
-    let (count, total_ns) =
-        regular.fold((0_u32, 0_i64), |(count, total), step| (count + 1, total.saturating_add(*step)));
-    Some(1e9 * f64::from(count) / total_ns as f64)
 }
 
 #[cfg(test)]

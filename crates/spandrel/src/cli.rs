@@ -3,6 +3,7 @@
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use spandrel_filter::ImportanceDensity;
 use spandrel_identify::ParticlePlan;
+use spandrel_record::{ReadOptions, TimeUnit};
 use std::path::PathBuf;
 
 /// Watches over bridges and buildings in real time.
@@ -87,6 +88,14 @@ pub enum Command {
     /// Check a structure file: natural frequencies, damping, and what these sensors can tell.
     #[command(after_help = "Example: spandrel check tower.toml")]
     Check(CheckArguments),
+    /// Tell what a recording holds: channels, rates, gaps, statistics, peaks of the spectra.
+    #[command(after_help = "Examples: spandrel info bridge.mseed\n          \
+                      spandrel info tower.dat --rate 100 --json")]
+    Info(InfoArguments),
+    /// Write a recording in another format: .csv or .mcap, in SI units where its own are known.
+    #[command(after_help = "Examples: spandrel convert event.zip event.mcap\n          \
+                      spandrel convert modal-test.uff modal-test.csv --resample 200")]
+    Convert(ConvertArguments),
     /// Rebuild the published examples of the method, and compare with the published figures.
     #[command(after_help = "Examples: spandrel validate --quick\n          \
                       spandrel validate ekf.bridge outlier --seeds 3 --report validation")]
@@ -252,7 +261,7 @@ pub struct SimulateArguments {
     #[arg(value_name = "STRUCTURE.toml")]
     pub structure: PathBuf,
     /// Write the record to this file instead of sending it to the bus: columns and units as its record table has them.
-    #[arg(long, value_name = "OUT.csv")]
+    #[arg(long, value_name = "OUT.csv|OUT.mcap")]
     pub record: Option<PathBuf>,
     /// Length (s); without it a simulation on the bus goes on until it is stopped, and one to a file takes 120 s.
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
@@ -289,6 +298,57 @@ pub struct ReplayArguments {
     pub speed: Speed,
     #[command(flatten)]
     pub bus: BusArguments,
+}
+
+/// What a recording may not say of itself.
+#[derive(Debug, Args)]
+pub struct ReadingArguments {
+    /// Sampling rate of channels for which the recording states none (Hz).
+    #[arg(long, value_name = "HZ", value_parser = positive, allow_negative_numbers = true)]
+    pub rate: Option<f64>,
+    /// Column of a table with the time [default: the first one whose name begins with `time`, or that has dates].
+    #[arg(long, value_name = "NAME")]
+    pub time_column: Option<String>,
+    /// Unit of the time in a table, if it is a number: s, ms, us or ns [default: s].
+    #[arg(long, value_name = "UNIT", value_parser = time_unit)]
+    pub time_unit: Option<TimeUnit>,
+}
+
+impl ReadingArguments {
+    /// Returns the options of reading.
+    pub fn options(&self) -> ReadOptions {
+        ReadOptions {
+            time_column: self.time_column.clone(),
+            time_unit: self.time_unit,
+            sampling_rate_hz: self.rate,
+            ..ReadOptions::default()
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+pub struct InfoArguments {
+    /// The recording: a file of any known format, a zip archive or a folder of such files.
+    pub record: PathBuf,
+    /// Print one JSON object.
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub reading: ReadingArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct ConvertArguments {
+    /// The recording: a file of any known format, a zip archive or a folder of such files.
+    pub record: PathBuf,
+    /// Where to write it; the end of its name tells the format.
+    #[arg(value_name = "OUT.csv|OUT.mcap")]
+    pub output: PathBuf,
+    /// Bring all channels to this rate (Hz), through a filter against aliasing.
+    #[arg(long, value_name = "HZ", value_parser = positive, allow_negative_numbers = true)]
+    pub resample: Option<f64>,
+    #[command(flatten)]
+    pub reading: ReadingArguments,
 }
 
 #[derive(Debug, Args)]
@@ -459,6 +519,17 @@ fn seconds(text: &str) -> Result<f64, String> {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         Ok(_) | Err(_) => Err("must be a positive number of seconds".to_owned()),
     }
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        Ok(_) | Err(_) => Err("must be a positive number".to_owned()),
+    }
+}
+
+fn time_unit(text: &str) -> Result<TimeUnit, String> {
+    TimeUnit::of_symbol(text).ok_or_else(|| "must be s, ms, us or ns".to_owned())
 }
 
 fn share(text: &str) -> Result<f64, String> {

@@ -3,9 +3,11 @@
 mod baseline;
 mod bench;
 mod check;
+mod convert;
 mod dashboard;
 mod demo;
 mod estimate;
+mod info;
 mod progress;
 mod replay;
 mod run;
@@ -40,6 +42,8 @@ pub fn run(command: Command) -> Result<(), AppError> {
         Command::Baseline(arguments) => baseline::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Check(arguments) => check::run(arguments),
+        Command::Info(arguments) => info::run(&arguments),
+        Command::Convert(arguments) => convert::run(&arguments),
         Command::Validate(arguments) => validate::run(&arguments),
         Command::Watch(arguments) => watch::run(arguments),
         Command::Completions { shell } => {

@@ -1,20 +1,26 @@
-//! Opens a recording as the structure file says: columns, units, offsets.
+//! Opens a recording as the structure file says: columns, units, offsets, rate.
 
 use crate::error::AppError;
-use spandrel_record::{ChannelColumn, ColumnMapping, OffsetRemoval, Recording};
-use spandrel_structure::Structure;
+use spandrel_record::{
+    ChannelColumn, ColumnMapping, Format, OffsetRemoval, Recording, Resampling, TimeSource, TimeUnit,
+};
+use spandrel_structure::{Quantity, Structure};
 use std::io::Read;
 use std::path::Path;
 
 /// Bytes at the head of a recording by which its rows are counted.
 const COUNTED_BYTES: u64 = 1 << 16;
 
-/// Guesses how many rows a recording has, by its size and the length of its first rows: good enough for a progress bar.
+/// Guesses how many rows a table has, by its size and the length of its first rows: good enough for a progress bar. `None` for
+/// other formats.
 pub fn expected_rows(path: &Path) -> Option<u64> {
     let file = std::fs::File::open(path).ok()?;
     let size = file.metadata().ok()?.len();
     let mut head = Vec::new();
     file.take(COUNTED_BYTES).read_to_end(&mut head).ok()?;
+    if Format::of(&head, path) != Some(Format::Table) {
+        return None;
+    }
     let rows = head.iter().filter(|byte| **byte == b'\n').count() as u64;
     (rows > 0).then(|| (rows as f64 * (size as f64 / head.len() as f64)) as u64)
 }
@@ -30,15 +36,37 @@ pub fn mapping(structure: &Structure) -> Result<ColumnMapping, AppError> {
         .zip(map.columns())
         .map(|(channel, column)| {
             // the structure file has already turned its unit into the factor
-            ChannelColumn::new(channel.name())
+            let mapped = ChannelColumn::new(channel.name())
                 .with_column(column.column())
-                .with_calibration(column.factor(), column.offset())
+                .with_calibration(column.factor(), column.offset())?;
+            Ok(if column.states_unit() { mapped } else { mapped.in_unit_of_file(quantity(channel.quantity())) })
         })
-        .collect::<Result<Vec<_>, _>>()?;
-    Ok(ColumnMapping::new(columns).with_time_column(map.time_column()))
+        .collect::<Result<Vec<_>, AppError>>()?;
+    let time = match map.time_column() {
+        "" => TimeSource::Counted { rate_hz: structure.sampling_rate_hz() },
+        name => {
+            let unit = TimeUnit::of_symbol(map.time_unit()).unwrap_or(TimeUnit::Seconds);
+            TimeSource::Column { name: name.to_owned(), unit }
+        }
+    };
+    Ok(ColumnMapping::new(columns).with_time(time))
 }
 
-/// Opens `path` for `structure` and checks that it is sampled at the structure's rate.
+/// The quantity of a channel as recordings know it: they do not say what an acceleration is relative to.
+fn quantity(of_channel: Quantity) -> spandrel_record::Quantity {
+    match of_channel {
+        Quantity::AbsoluteAcceleration
+        | Quantity::RelativeAcceleration
+        | Quantity::RestoringAcceleration
+        | Quantity::GroundAcceleration => spandrel_record::Quantity::Acceleration,
+        Quantity::Force => spandrel_record::Quantity::Force,
+        Quantity::Velocity => spandrel_record::Quantity::Velocity,
+        Quantity::Displacement => spandrel_record::Quantity::Displacement,
+        Quantity::Strain => spandrel_record::Quantity::Strain,
+    }
+}
+
+/// Opens `path` for `structure`, resamples it if the structure file says so, and checks that it has the structure's rate.
 ///
 /// # Errors
 /// When the file cannot be read, lacks columns or has another rate; it names what it has.
@@ -47,7 +75,11 @@ pub fn open(structure: &Structure, path: &Path) -> Result<Recording, AppError> {
         seconds if seconds > 0.0 => OffsetRemoval::MeanOfFirst { seconds },
         _ => OffsetRemoval::Keep,
     };
-    let recording = Recording::open(path, &mapping(structure)?, offset)?;
+    let resampling = match structure.record().resamples() {
+        true => Resampling::To { rate_hz: structure.sampling_rate_hz() },
+        false => Resampling::None,
+    };
+    let recording = Recording::open_resampled(path, &mapping(structure)?, offset, resampling)?;
     recording.check_sampling_rate(structure.sampling_rate_hz())?;
     Ok(recording)
 }

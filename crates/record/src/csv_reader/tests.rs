@@ -102,7 +102,7 @@ fn errors_name_file_line_found_and_allowed() {
     assert_eq!(message("time,a,b\nnoon,1,2\n"), "hall.csv:2: time is `noon`, must be seconds or ISO 8601");
     assert_eq!(
         message("time,a,b\n0,1,2\n2024-02-29T12:00:00Z,1,2\n"),
-        "hall.csv:3: time is `2024-02-29T12:00:00Z`, must be in seconds as the first time of the file"
+        "hall.csv:3: time is `2024-02-29T12:00:00Z`, must be a number as the first time of the file"
     );
     assert_eq!(
         message("time,a,b\n0,1,2\n0.5,1,2\n0.5,1,2\n"),
@@ -129,4 +129,43 @@ proptest! {
             prop_assert!(!row.values[0].is_infinite());
         }
     }
+}
+
+#[test]
+fn other_separators_and_decimal_commas_are_read() {
+    let mapping = ColumnMapping::by_name(["a", "b"]);
+    let expected = [(0, vec![1.5, -2.0]), (10_000_000, vec![0.25, 3.0])];
+    for text in [
+        "time;a;b\n0,00;1,5;-2\n0,01;0,25;3\n",
+        "time\ta\tb\n0.00\t1.5\t-2\n0.01\t0.25\t3\n",
+        "time\ta\tb\n0,00\t1,5\t-2\n0,01\t0,25\t3\n",
+        "  time   a  b\n  0.00  1.5  -2\n  0.01 0.25   3\n",
+        "sep=;\r\ntime;a;b\r\n0.00;1.5;-2\r\n0.01;0.25;3\r\n",
+    ] {
+        assert_eq!(rows(text, &mapping).unwrap(), expected, "{text}");
+    }
+}
+
+#[test]
+fn header_behind_other_lines_keeps_the_line_numbers_of_the_file() {
+    let mapping = ColumnMapping::by_name(["a"]);
+    let text = "Recorder 7, hall\nStart: 2025-03-06\n\ntime,a\n0,1\n0.01,?\n";
+    let error = rows(text, &mapping).unwrap_err();
+    assert!(error.to_string().starts_with("hall.csv:6: column `a` is `?`"), "{error}");
+}
+
+#[test]
+fn table_of_numbers_without_times_is_counted_at_the_declared_rate() {
+    let columns = vec![ChannelColumn::new("roof").with_column("2"), ChannelColumn::new("base").with_column("1")];
+    let mapping = ColumnMapping::new(columns).with_time(TimeSource::Counted { rate_hz: 100.0 });
+    let found = rows("-3.359\t-0.052\t7\n-0.627\t-0.054\t8\n", &mapping).unwrap();
+    assert_eq!(found, [(0, vec![-0.052, -3.359]), (10_000_000, vec![-0.054, -0.627])]);
+}
+
+#[test]
+fn times_in_microseconds_are_read() {
+    let time = TimeSource::Column { name: "t".to_owned(), unit: TimeUnit::Microseconds };
+    let mapping = ColumnMapping::by_name(["a"]).with_time(time);
+    let found = rows("n,t,a\n0,991011697,1\n1,991020030,2\n", &mapping).unwrap();
+    assert_eq!(found, [(991_011_697_000, vec![1.0]), (991_020_030_000, vec![2.0])]);
 }

@@ -91,6 +91,15 @@ fn span_of_the_offset_must_be_positive() {
 
 #[test]
 fn unknown_format_names_the_known_ones() {
-    let error = Recording::open("a.xlsx".as_ref(), &ColumnMapping::by_name(["a"]), OffsetRemoval::Keep).err().unwrap();
-    assert_eq!(error.to_string(), "a.xlsx: is of no known format, must end in .csv");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.xlsx");
+    std::fs::write(&path, [0, 1, 2, 3]).unwrap();
+    let error = Recording::open(&path, &ColumnMapping::by_name(["a"]), OffsetRemoval::Keep).err().unwrap().to_string();
+    assert!(
+        error.ends_with(
+            "is of no known format, must be one of text table (CSV), miniSEED, COSMOS, CSMIP volume 2, \
+        MATLAB level 5, universal file (58), PEER AT2, SMC, TDMS, MCAP, gzip, zip archive, folder"
+        ),
+        "{error}"
+    );
 }

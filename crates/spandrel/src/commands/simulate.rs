@@ -8,7 +8,7 @@ use crate::services::{block_on, epoch_now, interrupted};
 use crate::settings::Settings;
 use indicatif::ProgressBar;
 use spandrel_bus::{Bus, Keys, Service};
-use spandrel_record::{CsvWriter, Recording};
+use spandrel_record::RecordWriter;
 use spandrel_sensor::{Clocks, NodePlan, SensorError, SensorService, SensorSettings, Speed, simulated_rows};
 use spandrel_structure::Structure;
 use std::convert::Infallible;
@@ -123,8 +123,7 @@ pub fn readers(structure: &Structure) -> Vec<Service> {
 }
 
 fn write_record(structure: &Structure, path: &Path, seed: u64, frames: u64) -> Result<(), AppError> {
-    Recording::check_format(path)?;
-    let mut writer = CsvWriter::create_mapped(path, &record_source::mapping(structure)?)?;
+    let mut writer = RecordWriter::create(path, &record_source::mapping(structure)?, structure.sampling_rate_hz())?;
     let bar = progress::bar("simulating", Some(frames));
     for row in simulated_rows(structure, seed, 0, Some(frames)) {
         writer.write_row(row.time_ns, &row.values)?;

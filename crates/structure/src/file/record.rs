@@ -6,16 +6,22 @@ use crate::record_map::{ColumnMap, RecordMap};
 use crate::section::{Allowed, Section};
 use toml::Spanned;
 
+const DEFAULT_TIME_UNIT: &str = RecordMap::TIME_UNITS[0].1;
+
 /// Reads `[record]`; `channels` are in frame order. Without it a record has SI columns named as the channels.
 pub(super) fn read_record(section: Option<Section<'_>>, channels: Option<&[&Channel]>) -> Option<RecordMap> {
     let Some(mut section) = section else {
         return channels.map(|channels| RecordMap {
             time_column: RecordMap::TIME_COLUMN.to_owned(),
+            time_unit: DEFAULT_TIME_UNIT,
+            resamples: false,
             remove_offset_s: 0.0,
             columns: channels.iter().map(|channel| own_column(channel)).collect(),
         });
     };
     let time_column = section.text("time-column");
+    let time_unit = section.choice("time-unit", &RecordMap::TIME_UNITS).map_or(DEFAULT_TIME_UNIT, Spanned::into_inner);
+    let resamples = section.flag_or("resample", false);
     let remove_offset_s = section.number_or("remove-offset-s", Allowed::NOT_NEGATIVE, 0.0);
     let entries = section.entries("columns");
     let mut columns: Option<Vec<_>> =
@@ -33,11 +39,11 @@ pub(super) fn read_record(section: Option<Section<'_>>, channels: Option<&[&Chan
     }
     section.finish();
     let time_column = time_column.map_or_else(|| RecordMap::TIME_COLUMN.to_owned(), Spanned::into_inner);
-    Some(RecordMap { time_column, remove_offset_s, columns: columns? })
+    Some(RecordMap { time_column, time_unit, resamples, remove_offset_s, columns: columns? })
 }
 
 fn own_column(channel: &Channel) -> ColumnMap {
-    ColumnMap { column: channel.name.clone(), factor: 1.0, offset: 0.0 }
+    ColumnMap { column: channel.name.clone(), factor: 1.0, offset: 0.0, states_unit: false }
 }
 
 fn read_column(mut table: Section<'_>, name: &Spanned<String>, channel: Option<&Channel>) -> ColumnMap {
@@ -45,6 +51,7 @@ fn read_column(mut table: Section<'_>, name: &Spanned<String>, channel: Option<&
     let unit = table.text("unit");
     let scale = table.number_or("scale", Allowed::ANY, 1.0);
     let offset = table.number_or("offset", Allowed::ANY, 0.0);
+    let states_unit = unit.is_some();
     let size = match (unit, channel) {
         (Some(unit), Some(channel)) => {
             let units = channel.quantity.record_units();
@@ -61,5 +68,5 @@ fn read_column(mut table: Section<'_>, name: &Spanned<String>, channel: Option<&
     };
     table.finish();
     let column = column.map_or_else(|| name.get_ref().clone(), Spanned::into_inner);
-    ColumnMap { column, factor: size * scale, offset }
+    ColumnMap { column, factor: size * scale, offset, states_unit }
 }

@@ -92,6 +92,25 @@ fn a_record_map_turns_units_into_si() {
 }
 
 #[test]
+fn a_record_map_says_how_times_and_rates_become_those_of_the_structure() {
+    let plain = read(DEMO).unwrap();
+    let record = plain.record();
+    assert_eq!((record.time_column(), record.time_unit(), record.resamples()), ("time", "s", false));
+    assert!(record.columns().iter().all(|column| !column.states_unit()));
+    let text = format!(
+        "{DEMO}\n[record]\ntime-column = \"\"\ntime-unit = \"us\"\nresample = true\ncolumns.floor-1.unit = \"g\"\n"
+    );
+    let declared = read(&text).unwrap();
+    let record = declared.record();
+    assert_eq!((record.time_column(), record.time_unit(), record.resamples()), ("", "us", true));
+    let stated: Vec<_> = record.columns().iter().filter(|c| c.states_unit()).map(|c| c.column()).collect();
+    assert_eq!(stated, ["floor-1"]);
+    let wrong = format!("{DEMO}\n[record]\ntime-unit = \"h\"\n");
+    let told = read(&wrong).unwrap_err().to_string();
+    assert!(told.contains("record.time-unit: is \"h\""), "{told}");
+}
+
+#[test]
 fn filter_settings_are_in_steps_and_variances() {
     let settings = read(DEMO).unwrap().filter_settings().unwrap();
     // half-life 10 s at 100 Hz: λ = 2^(2/1000)

@@ -1,0 +1,116 @@
+//! Steps through the bytes of a file; what is not there is a fault, not a panic.
+
+use crate::fault::Fault;
+
+/// The order of the bytes of a number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ByteOrder {
+    Little,
+    Big,
+}
+
+/// A place in bytes, with the order of the bytes of numbers.
+#[derive(Debug, Clone)]
+pub(crate) struct Bytes<'a> {
+    data: &'a [u8],
+    position: usize,
+    pub(crate) order: ByteOrder,
+}
+
+macro_rules! numbers {
+    ($($name:ident: $number:ty),*) => {$(
+        pub(crate) fn $name(&mut self) -> Result<$number, Fault> {
+            let bytes = self.array()?;
+            Ok(match self.order {
+                ByteOrder::Little => <$number>::from_le_bytes(bytes),
+                ByteOrder::Big => <$number>::from_be_bytes(bytes),
+            })
+        }
+    )*};
+}
+
+impl<'a> Bytes<'a> {
+    pub(crate) fn new(data: &'a [u8], order: ByteOrder) -> Self {
+        Self { data, position: 0, order }
+    }
+
+    /// Bytes before the next one.
+    pub(crate) fn position(&self) -> usize {
+        self.position
+    }
+
+    /// Bytes that are left.
+    pub(crate) fn left(&self) -> usize {
+        self.data.len() - self.position
+    }
+
+    pub(crate) fn is_at_end(&self) -> bool {
+        self.left() == 0
+    }
+
+    /// The next bytes, which are then behind.
+    pub(crate) fn take(&mut self, count: usize) -> Result<&'a [u8], Fault> {
+        if count > self.left() {
+            let (left, position) = (self.left(), self.position);
+            let found = format!("{left} bytes to the end");
+            return Err(Fault::at_byte(position, "what is left", found, format!("at least {count}")));
+        }
+        let bytes = &self.data[self.position..self.position + count];
+        self.position += count;
+        Ok(bytes)
+    }
+
+    /// Goes to another place; the end of the bytes is allowed.
+    pub(crate) fn seek(&mut self, position: usize) -> Result<(), Fault> {
+        if position > self.data.len() {
+            let found = format!("byte {position}");
+            return Err(Fault::at_byte(self.position, "what follows", found, format!("at most {}", self.data.len())));
+        }
+        self.position = position;
+        Ok(())
+    }
+
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], Fault> {
+        let mut array = [0; N];
+        array.copy_from_slice(self.take(N)?);
+        Ok(array)
+    }
+
+    numbers! { u8: u8, u16: u16, u32: u32, u64: u64, i16: i16, i32: i32, i64: i64, f32: f32, f64: f64 }
+}
+
+/// Text in UTF-8, or in Latin-1 if it is no UTF-8, without what pads it.
+pub(crate) fn text(bytes: &[u8]) -> String {
+    let padding = |symbol: char| symbol.is_whitespace() || symbol == '\0';
+    match std::str::from_utf8(bytes) {
+        Ok(text) => text.trim_matches(padding).to_owned(),
+        Err(_) => bytes.iter().map(|byte| char::from(*byte)).collect::<String>().trim_matches(padding).to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_have_the_order_asked_for() {
+        let mut bytes = Bytes::new(&[0, 1, 0, 1], ByteOrder::Big);
+        assert_eq!(bytes.u16().unwrap(), 1);
+        bytes.order = ByteOrder::Little;
+        assert_eq!(bytes.u16().unwrap(), 256);
+    }
+
+    #[test]
+    fn what_is_not_there_names_the_place() {
+        let mut bytes = Bytes::new(&[0, 1, 2], ByteOrder::Big);
+        bytes.u16().unwrap();
+        let fault = bytes.u32().unwrap_err();
+        assert_eq!(fault.to_string(), "byte 2: what is left is 1 bytes to the end, must be at least 4");
+        assert!(bytes.seek(4).is_err());
+    }
+
+    #[test]
+    fn text_without_utf_8_is_latin_1() {
+        assert_eq!(text(b" m/s\xb2 \0"), "m/s²");
+    }
+}

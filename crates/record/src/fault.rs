@@ -1,0 +1,69 @@
+//! What is wrong inside a file: where, what was found, what is allowed.
+
+use std::fmt;
+
+/// A place at which a file breaks the rules of its format.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Fault {
+    place: Place,
+    what: String,
+    found: String,
+    allowed: String,
+}
+
+/// Where in a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Place {
+    /// Line, counted from 1.
+    Line(u64),
+    /// Byte, counted from 0.
+    Byte(u64),
+    /// No one place.
+    File,
+}
+
+impl Fault {
+    /// `what` on this line is `found`, and must be `allowed`.
+    pub(crate) fn at_line(
+        line: u64,
+        what: impl Into<String>,
+        found: impl fmt::Display,
+        allowed: impl Into<String>,
+    ) -> Self {
+        Self { place: Place::Line(line), what: what.into(), found: found.to_string(), allowed: allowed.into() }
+    }
+
+    /// `what` at this byte is `found`, and must be `allowed`.
+    pub(crate) fn at_byte(
+        byte: usize,
+        what: impl Into<String>,
+        found: impl fmt::Display,
+        allowed: impl Into<String>,
+    ) -> Self {
+        Self { place: Place::Byte(byte as u64), what: what.into(), found: found.to_string(), allowed: allowed.into() }
+    }
+
+    /// `what` of the file as a whole is `found`, and must be `allowed`.
+    pub(crate) fn of_file(what: impl Into<String>, found: impl fmt::Display, allowed: impl Into<String>) -> Self {
+        Self { place: Place::File, what: what.into(), found: found.to_string(), allowed: allowed.into() }
+    }
+
+    /// The same fault, seen from a file in which the bytes begin at `start`.
+    pub(crate) fn moved_by(mut self, start: usize) -> Self {
+        if let Place::Byte(byte) = &mut self.place {
+            *byte = byte.saturating_add(start as u64);
+        }
+        self
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.place {
+            Place::Line(line) => write!(formatter, "line {line}: ")?,
+            Place::Byte(byte) => write!(formatter, "byte {byte}: ")?,
+            Place::File => {}
+        }
+        write!(formatter, "{} is {}, must be {}", self.what, self.found, self.allowed)
+    }
+}

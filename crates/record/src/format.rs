@@ -1,0 +1,144 @@
+//! The formats of recordings, told by content and then by name.
+
+use std::path::Path;
+
+use crate::formats::{at2, cosmos, csmip, matlab, mcap, mini_seed, smc, tdms, text_lines::text_of, uff58};
+use crate::table_layout::TableLayout;
+
+/// The format of a recording.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// Text table: comma-separated, or by semicolons, tabulators or blanks.
+    Table,
+    /// miniSEED 2 or 3.
+    MiniSeed,
+    /// COSMOS V0 to V2.
+    Cosmos,
+    /// CSMIP volume 2.
+    Csmip,
+    /// MATLAB level 5.
+    Matlab,
+    /// Universal file, datasets 58 and 58b.
+    Uff58,
+    /// PEER AT2, VT2 or DT2.
+    At2,
+    /// USGS SMC.
+    Smc,
+    /// National Instruments TDMS.
+    Tdms,
+    /// MCAP.
+    Mcap,
+    /// Compressed by gzip: one recording.
+    Gzip,
+    /// Zip archive of recordings.
+    Zip,
+    /// Folder of recordings.
+    Folder,
+}
+
+/// All formats, for messages.
+const ALL: [Format; 13] = [
+    Format::Table,
+    Format::MiniSeed,
+    Format::Cosmos,
+    Format::Csmip,
+    Format::Matlab,
+    Format::Uff58,
+    Format::At2,
+    Format::Smc,
+    Format::Tdms,
+    Format::Mcap,
+    Format::Gzip,
+    Format::Zip,
+    Format::Folder,
+];
+
+/// Ends of names of text tables, for which the content is no proof.
+const TABLE_NAMES: [&str; 5] = ["csv", "tsv", "txt", "dat", "asc"];
+
+impl Format {
+    /// The format of a file, from its first bytes and its name; `None` if it is none of them.
+    pub fn of(head: &[u8], path: &Path) -> Option<Self> {
+        Self::of_content(head).or_else(|| {
+            let ending = path.extension()?.to_str()?.to_ascii_lowercase();
+            (TABLE_NAMES.contains(&ending.as_str()) && is_text(head)).then_some(Self::Table)
+        })
+    }
+
+    /// The format that the first bytes of a file prove.
+    pub fn of_content(head: &[u8]) -> Option<Self> {
+        let binary = [
+            (mcap::is_mcap(head), Self::Mcap),
+            (tdms::is_tdms(head), Self::Tdms),
+            (matlab::is_matlab(head), Self::Matlab),
+            (mini_seed::is_mini_seed(head), Self::MiniSeed),
+            (head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06"), Self::Zip),
+            (head.starts_with(&[0x1f, 0x8b]), Self::Gzip),
+        ];
+        if let Some((_, format)) = binary.into_iter().find(|(is_format, _)| *is_format) {
+            return Some(format);
+        }
+        let text = text_of(head);
+        let in_text = [
+            (uff58::is_uff(&text), Self::Uff58),
+            (cosmos::is_cosmos(&text), Self::Cosmos),
+            (csmip::is_csmip(&text), Self::Csmip),
+            (smc::is_smc(&text), Self::Smc),
+            (at2::is_at2(&text), Self::At2),
+            (is_text(head) && TableLayout::is_table(head), Self::Table),
+        ];
+        in_text.into_iter().find(|(is_format, _)| *is_format).map(|(_, format)| format)
+    }
+
+    /// The format in words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Table => "text table (CSV)",
+            Self::MiniSeed => "miniSEED",
+            Self::Cosmos => "COSMOS",
+            Self::Csmip => "CSMIP volume 2",
+            Self::Matlab => "MATLAB level 5",
+            Self::Uff58 => "universal file (58)",
+            Self::At2 => "PEER AT2",
+            Self::Smc => "SMC",
+            Self::Tdms => "TDMS",
+            Self::Mcap => "MCAP",
+            Self::Gzip => "gzip",
+            Self::Zip => "zip archive",
+            Self::Folder => "folder",
+        }
+    }
+
+    /// The names of all formats.
+    pub(crate) fn names() -> Vec<&'static str> {
+        ALL.into_iter().map(Self::name).collect()
+    }
+}
+
+/// Whether bytes are text: no control characters but those of lines.
+fn is_text(head: &[u8]) -> bool {
+    !head.is_empty() && !head.iter().any(|byte| byte.is_ascii_control() && !byte.is_ascii_whitespace())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn content_comes_before_the_name() {
+        for (head, name, expected) in [
+            (&b"TDSm\x0e\0\0\0"[..], "x.csv", Some(Format::Tdms)),
+            (b"MS\x03\0", "x.dat", Some(Format::MiniSeed)),
+            (b"000001M COLA 00LHZIU", "x", Some(Format::MiniSeed)),
+            (b"    -1\n    58\n", "x", Some(Format::Uff58)),
+            (b"time,a\n0,1\n", "x", Some(Format::Table)),
+            (b"a b\nc d\n", "x", None),
+            (b"a b\nc d\n", "x.csv", Some(Format::Table)),
+            (b"\x00\x01\x02", "x.csv", None),
+            (b"", "x.mseed", None),
+            (b"PK\x03\x04", "x.csv", Some(Format::Zip)),
+        ] {
+            assert_eq!(Format::of(head, Path::new(name)), expected, "{name}: {}", head.escape_ascii());
+        }
+    }
+}

@@ -1,0 +1,13 @@
+//! The formats that are read whole, a file or folder each; the streaming CSV reader stands beside them.
+
+pub(crate) mod at2;
+pub(crate) mod cosmos;
+pub(crate) mod csmip;
+pub(crate) mod matlab;
+pub(crate) mod mcap;
+pub(crate) mod mini_seed;
+pub(crate) mod smc;
+pub(crate) mod table;
+pub(crate) mod tdms;
+pub(crate) mod text_lines;
+pub(crate) mod uff58;

@@ -1,0 +1,197 @@
+//! CSMIP volume 2: acceleration, velocity and displacement of one or more channels, one after the other.
+//!
+//! Layout: California Strong Motion Instrumentation Program, *Standard tape format for processed strong-motion data* (Shakal
+//! and Huang 1985, report OSMS 85-03): per channel 25 lines of text, integers and reals, and three blocks, each behind a line
+//! such as `10100 points of accel data equally spaced at 0.010 sec, in cm/sec2. (8f10.5)`, in older files
+//! `3000 POINTS OF ACCEL DATA EQUALLY SPACED AT .020 SEC. (UNITS: CM/SEC/SEC)`. What is read is in the lines of text; the
+//! integers and reals repeat it in fewer digits.
+
+use super::text_lines::{NumberColumns, TextLines, columns_of, decimal, text_of};
+use crate::fault::Fault;
+use crate::rate::rate_from_step;
+use crate::record_time::civil_ns;
+use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
+
+/// Columns of files that do not state them.
+const COLUMNS: NumberColumns = NumberColumns { per_line: 8, width: 10 };
+
+/// Whether the head of a file is that of a CSMIP volume 2 file.
+pub(crate) fn is_csmip(head: &str) -> bool {
+    let lower = head.lines().next().unwrap_or_default().trim_start().to_ascii_lowercase();
+    lower.starts_with("corrected accelerogram")
+}
+
+/// What the lines of text of one channel say.
+#[derive(Debug, Clone, Default)]
+struct Heading {
+    channel: Option<u32>,
+    place: String,
+    start_ns: Option<i64>,
+}
+
+/// Reads all blocks of all channels, named `channel-N.acceleration` and so on.
+pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
+    let text = text_of(bytes);
+    let mut lines = TextLines::new(&text);
+    let mut channels = Vec::new();
+    let mut heading = Heading::default();
+    let mut blocks = 0;
+    while let Some(line) = lines.next() {
+        let lower = line.to_ascii_lowercase();
+        if lower.contains("end of data for channel") {
+            blocks_of_channel(blocks, lines.number())?;
+            (heading, blocks) = (Heading::default(), 0);
+        } else if lower.contains("points of") && lower.contains("equally spaced") {
+            channels.push(read_block(&mut lines, &lower, &heading)?);
+            blocks += 1;
+        } else if lower.contains("points of") && lower.contains("data unequally") {
+            let allowed = "equally spaced samples (volume 2)";
+            return Err(Fault::at_line(lines.number(), "data", "unequally spaced", allowed));
+        } else {
+            heading.take(line, &lower);
+        }
+    }
+    if blocks > 0 {
+        return Err(Fault::at_line(lines.number(), "end of the file", "here", "after `End of data for channel`"));
+    }
+    if channels.is_empty() {
+        return Err(Fault::of_file("number of blocks of data", 0, "at least 1"));
+    }
+    Ok(channels)
+}
+
+fn blocks_of_channel(blocks: usize, line: u64) -> Result<(), Fault> {
+    match blocks {
+        0 => Err(Fault::at_line(line, "number of blocks of this channel", 0, "at least 1")),
+        _ => Ok(()),
+    }
+}
+
+fn read_block(lines: &mut TextLines<'_>, lower: &str, heading: &Heading) -> Result<RecordedChannel, Fault> {
+    let line = lines.number();
+    let refused = |what: &str, allowed: &str| Fault::at_line(line, what, format!("`{}`", lower.trim()), allowed);
+    let mut words = lower.split_whitespace();
+    let count: usize = words
+        .next()
+        .and_then(|count| count.parse().ok())
+        .ok_or_else(|| refused("number of points", "a number, then `points of`"))?;
+    let quantity = match words.nth(2) {
+        Some("accel") => "acceleration",
+        Some("veloc") => "velocity",
+        Some("displ") => "displacement",
+        _ => return Err(refused("quantity", "accel, veloc or displ")),
+    };
+    let step_s = lower.split_once("spaced at").and_then(|(_, rest)| rest.split_whitespace().next()).and_then(decimal);
+    let step_s =
+        step_s.filter(|step_s| *step_s > 0.0).ok_or_else(|| refused("time step", "`spaced at SECONDS sec`"))?;
+    let unit = lower
+        .split_once("units:")
+        .or_else(|| lower.split_once("in cm").map(|(before, _)| (before, &lower[before.len() + 3..])));
+    let unit = unit.and_then(|(_, rest)| rest.split([' ', ')', '(']).find(|word| !word.is_empty()));
+    let unit = unit.unwrap_or_default().trim_end_matches('.');
+    let columns = lower.rsplit_once('(').and_then(|(_, rest)| columns_of(rest.split(')').next()?)).unwrap_or(COLUMNS);
+    let samples = lines.numbers(columns, count, quantity)?;
+    let name = match heading.channel {
+        Some(number) => format!("channel-{number}.{quantity}"),
+        None => quantity.to_owned(),
+    };
+    let segment = Segment::new(heading.start_ns.unwrap_or(0), samples);
+    let origin = if heading.start_ns.is_some() { TimeOrigin::Epoch } else { TimeOrigin::Start };
+    let channel = RecordedChannel::new(name, Some(rate_from_step(step_s)), vec![segment]);
+    Ok(channel.with_unit(unit).with_description(heading.place.clone()).with_origin(origin))
+}
+
+impl Heading {
+    /// Takes what a line of text says.
+    fn take(&mut self, line: &str, lower: &str) {
+        if let Some((_, rest)) = lower.split_once("start time:")
+            && self.start_ns.is_none()
+        {
+            self.start_ns = start_ns(rest);
+        }
+        if let Some(rest) = lower.strip_prefix("chan") {
+            let number = rest.trim_start().split(':').next().and_then(|number| number.trim().parse().ok());
+            // older files: the recorder's channel first, and then `(STA CHN:  7)`
+            let station =
+                lower.split_once("sta chn:").and_then(|(_, rest)| rest.split(')').next()?.trim().parse().ok());
+            self.channel = station.or(number).or(self.channel);
+            let words = line.split_once(':').map_or(line, |(_, words)| words);
+            self.place = words.split_whitespace().collect::<Vec<_>>().join(" ");
+        }
+    }
+}
+
+/// Reads `12/20/22, 10:34: 1.0 UTC`; years of two digits are 1970 to 2069.
+fn start_ns(text: &str) -> Option<i64> {
+    let (date, time) = text.split_once(',')?;
+    let time = time.split_once("utc").or_else(|| time.split_once("gmt"))?.0;
+    let mut date = date.split('/').map(|part| part.trim().parse::<i64>().ok());
+    let (month, day, year) = (date.next()??, date.next()??, date.next()??);
+    let year = match year {
+        0..70 => 2000 + year,
+        70..100 => 1900 + year,
+        _ => year,
+    };
+    let mut time = time.split(':').map(str::trim);
+    let (hour, minute, second) = (time.next()?.parse().ok()?, time.next()?.parse().ok()?, decimal(time.next()?)?);
+    civil_ns(year, month, day, hour, minute, second)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file() -> String {
+        let mut text = String::new();
+        for channel in [4, 7] {
+            text += "Corrected accelerogram   89324   Chan  1:  Tran       from\n";
+            text += "89324-VAA6D           Start time: 12/20/22, 10:34: 1.5 UTC (GPS)\n";
+            text += &format!("Chan  {channel}:  Tran     Location: Top of column\n");
+            text += "  9 points of instrument- and baseline-corrected accel, veloc and displ data\n";
+            for (quantity, unit) in [("accel", "cm/sec2."), ("veloc", "cm/sec. "), ("displ", "cm.     ")] {
+                text += &format!(" 9 points of {quantity} data equally spaced at 0.010 sec, in {unit} (8f10.5)\n");
+                text += &format!("{}\n   1.00000\n", "-100.12345".repeat(8));
+            }
+            text += &format!("/&  ----------  End of data for channel  {channel}  ----------\n");
+        }
+        text
+    }
+
+    #[test]
+    fn channels_blocks_units_and_start_are_read() {
+        let channels = read(file().as_bytes()).unwrap();
+        let names: Vec<&str> = channels.iter().map(RecordedChannel::name).collect();
+        let quantities = ["acceleration", "velocity", "displacement"];
+        let expected: Vec<String> =
+            [4, 7].iter().flat_map(|n| quantities.map(|quantity| format!("channel-{n}.{quantity}"))).collect();
+        assert_eq!(names, expected);
+        let units: Vec<_> = channels.iter().take(3).map(|channel| channel.unit().unwrap()).collect();
+        assert_eq!(units, ["cm/sec2", "cm/sec", "cm"]);
+        assert_eq!(channels[0].samples().collect::<Vec<_>>()[7..], [-100.12345, 1.0]);
+        // date -u -d '2022-12-20T10:34:01Z' +%s
+        assert_eq!(channels[5].start_ns(), Some(1_671_532_441_500_000_000));
+        assert_eq!(channels[0].description(), Some("Tran Location: Top of column"));
+    }
+
+    #[test]
+    fn older_layout_is_read() {
+        let file = "CORRECTED ACCELEROGRAM   89324\nCHAN  2: 360 DEG  (STA CHN:  7)     LOCATION: DECK\n\
+            \u{20}2 POINTS OF ACCEL DATA EQUALLY SPACED AT  .020 SEC.  (UNITS: CM/SEC/SEC)\n     8.750    11.303\n\
+            /&  ----------  END OF DATA FOR CHANNEL  7  ----------\n";
+        let channels = read(file.as_bytes()).unwrap();
+        assert_eq!((channels[0].name(), channels[0].unit()), ("channel-7.acceleration", Some("cm/sec/sec")));
+        assert_eq!((channels[0].sampling_rate_hz(), channels[0].origin()), (Some(50.0), TimeOrigin::Start));
+    }
+
+    #[test]
+    fn file_cut_anywhere_is_refused_or_lacks_whole_channels() {
+        let file = file();
+        let first = file.find("End of data").unwrap();
+        for end in 0..file.len() {
+            match read(&file.as_bytes()[..end]) {
+                Ok(channels) => assert!(channels.len() == 3 && end > first || channels.len() == 6, "cut at {end}"),
+                Err(_) => assert!(end <= file.len() - 10, "cut at {end}"),
+            }
+        }
+    }
+}

@@ -1,0 +1,186 @@
+//! MCAP files with JSON messages, through the crate `mcap`.
+//!
+//! Every number in the messages of a topic is a channel: `topic` if a message has the field `value` alone, `topic.field` otherwise.
+//! The time of a sample is the log time of its message. A file that was cut off by a crash is read up to its last whole chunk.
+
+use std::collections::BTreeMap;
+
+use ::mcap::McapError;
+use ::mcap::records::Record;
+use ::mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use serde_json::Value;
+
+use crate::fault::Fault;
+use crate::recorded::{RecordedChannel, TimeOrigin};
+
+/// Records and chunks longer than this are refused: a damaged file may claim any length.
+const LONGEST_RECORD_BYTES: usize = 256 << 20;
+/// Field that is the channel itself.
+pub(crate) const VALUE_FIELD: &str = "value";
+
+/// Keys of the metadata of a channel that this crate writes.
+pub(crate) mod keys {
+    pub(crate) const UNIT: &str = "unit";
+    pub(crate) const DESCRIPTION: &str = "description";
+    pub(crate) const SAMPLING_RATE: &str = "sampling_rate_hz";
+    pub(crate) const TIME_ORIGIN: &str = "time_origin";
+    pub(crate) const START_OF_RECORD: &str = "start of the recording";
+}
+
+/// Whether a file begins as MCAP files do.
+pub(crate) fn is_mcap(head: &[u8]) -> bool {
+    head.starts_with(::mcap::MAGIC)
+}
+
+/// A topic: where its messages come from, and the samples of each number in them.
+#[derive(Debug, Default)]
+struct Topic {
+    name: String,
+    encoding: String,
+    metadata: BTreeMap<String, String>,
+    fields: BTreeMap<String, Vec<(i64, f64)>>,
+}
+
+/// Reads all numbers; also returns what a person should know of the file.
+pub(crate) fn read(bytes: &[u8]) -> Result<(Vec<RecordedChannel>, Vec<String>), Fault> {
+    let mut topics: BTreeMap<u16, Topic> = BTreeMap::new();
+    let mut remarks = Vec::new();
+    let is_whole = each_record(bytes, |place, record| take(&mut topics, place, record))?;
+    if !is_whole {
+        remarks.push("the file was cut off: it is read up to its last whole chunk".to_owned());
+    }
+    let mut channels = Vec::new();
+    let mut others = Vec::new();
+    for topic in topics.into_values() {
+        if topic.encoding != "json" {
+            others.push(format!("{} ({})", topic.name, topic.encoding));
+            continue;
+        }
+        channels.extend(topic.channels()?);
+    }
+    if channels.is_empty() {
+        let found =
+            if others.is_empty() { "no message".to_owned() } else { format!("the topics {}", others.join(", ")) };
+        return Err(Fault::of_file("content", found, "messages in JSON with numbers"));
+    }
+    if !others.is_empty() {
+        remarks.push(format!("topics that are not JSON are left out: {}", others.join(", ")));
+    }
+    Ok((channels, remarks))
+}
+
+/// Calls `take` with each record and the byte up to which the file was used; returns whether the file has an end.
+fn each_record(bytes: &[u8], mut take: impl FnMut(usize, Record<'_>) -> Result<(), Fault>) -> Result<bool, Fault> {
+    let options = LinearReaderOptions::default()
+        .with_prevalidate_chunk_crcs(true) // no message of a chunk that is damaged, or not whole
+        .with_record_length_limit(LONGEST_RECORD_BYTES);
+    let mut reader = LinearReader::new_with_options(options);
+    let mut used = 0;
+    while let Some(event) = reader.next_event() {
+        match event {
+            Ok(LinearReadEvent::ReadRequest(wanted)) => {
+                // no more than there is: the length may be a false one
+                let given = wanted.min(bytes.len() - used);
+                reader.insert(given).copy_from_slice(&bytes[used..used + given]);
+                reader.notify_read(given);
+                used += given;
+            }
+            Ok(LinearReadEvent::Record { data, opcode }) => {
+                let record = ::mcap::parse_record(opcode, data)
+                    .map_err(|error| Fault::at_byte(used, "record", told(&error), "one of MCAP"))?;
+                take(used, record)?;
+            }
+            Err(McapError::UnexpectedEof) if used == bytes.len() => return Ok(false),
+            Err(error) => return Err(Fault::at_byte(used, "record before here", told(&error), "whole and undamaged")),
+        }
+    }
+    Ok(true)
+}
+
+/// An error of the crate in our form.
+fn told(error: &McapError) -> String {
+    format!("wrong ({error})")
+}
+
+fn take(topics: &mut BTreeMap<u16, Topic>, place: usize, record: Record<'_>) -> Result<(), Fault> {
+    match record {
+        Record::Channel(channel) => {
+            let topic = Topic {
+                name: channel.topic,
+                encoding: channel.message_encoding,
+                metadata: channel.metadata,
+                fields: BTreeMap::new(),
+            };
+            topics.entry(channel.id).or_insert(topic);
+        }
+        Record::Message { header, data } => {
+            let topic = topics.get_mut(&header.channel_id).ok_or_else(|| {
+                Fault::at_byte(place, "channel of a message", header.channel_id, "one that the file states before it")
+            })?;
+            if topic.encoding != "json" {
+                return Ok(());
+            }
+            let time_ns = i64::try_from(header.log_time).map_err(|_| {
+                Fault::at_byte(place, "log time of a message", header.log_time, "below 2^63 ns, before the year 2262")
+            })?;
+            let message: Value = serde_json::from_slice(&data).map_err(|error| {
+                Fault::at_byte(place, format!("message of {}", topic.name), format!("wrong ({error})"), "JSON")
+            })?;
+            take_numbers(&message, &mut String::new(), time_ns, &mut topic.fields);
+        }
+        _ => {} // schemas say what JSON says itself; indices and attachments hold no samples
+    }
+    Ok(())
+}
+
+/// Takes the numbers of a message by the names of their fields.
+fn take_numbers(value: &Value, path: &mut String, time_ns: i64, fields: &mut BTreeMap<String, Vec<(i64, f64)>>) {
+    match value {
+        Value::Number(number) => {
+            let number = number.as_f64().unwrap_or(f64::NAN);
+            match fields.get_mut(path.as_str()) {
+                Some(samples) => samples.push((time_ns, number)),
+                None => {
+                    fields.insert(path.clone(), vec![(time_ns, number)]);
+                }
+            }
+        }
+        Value::Object(object) => {
+            for (name, value) in object {
+                let length = path.len();
+                if length > 0 {
+                    path.push('.');
+                }
+                path.push_str(name);
+                take_numbers(value, path, time_ns, fields);
+                path.truncate(length);
+            }
+        }
+        Value::Null | Value::Bool(_) | Value::String(_) | Value::Array(_) => {}
+    }
+}
+
+impl Topic {
+    fn channels(self) -> Result<Vec<RecordedChannel>, Fault> {
+        let Self { name, metadata, fields, .. } = self;
+        let is_alone = fields.len() == 1;
+        let rate_hz = metadata.get(keys::SAMPLING_RATE).and_then(|rate| rate.parse::<f64>().ok());
+        let rate_hz = rate_hz.filter(|rate_hz| rate_hz.is_finite() && *rate_hz > 0.0);
+        let is_relative = metadata.get(keys::TIME_ORIGIN).is_some_and(|origin| origin == keys::START_OF_RECORD);
+        let origin = if is_relative { TimeOrigin::Start } else { TimeOrigin::Epoch };
+        let stated = |key: &str| metadata.get(key).cloned().unwrap_or_default();
+        let mut channels = Vec::new();
+        for (field, mut samples) in fields {
+            let name = if is_alone && field == VALUE_FIELD { name.clone() } else { format!("{name}.{field}") };
+            samples.sort_by_key(|(time_ns, _)| *time_ns);
+            if let Some(pair) = samples.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+                let found = format!("there twice at {} ns", pair[0].0);
+                return Err(Fault::of_file(format!("sample of {name}"), found, "there once at any time"));
+            }
+            let (times_ns, values): (Vec<i64>, Vec<f64>) = samples.into_iter().unzip();
+            let channel = RecordedChannel::from_times(name, rate_hz, &times_ns, &values).with_origin(origin);
+            channels.push(channel.with_unit(stated(keys::UNIT)).with_description(stated(keys::DESCRIPTION)));
+        }
+        Ok(channels)
+    }
+}

@@ -1,0 +1,81 @@
+//! Writes rows in the format that the name of the file tells.
+
+use std::path::Path;
+
+use crate::{ColumnMapping, CsvWriter, McapWriter, OutputFormat, RecordError};
+
+/// Writes a record row by row, as CSV or MCAP.
+pub enum RecordWriter {
+    /// Comma-separated.
+    Csv(Box<CsvWriter>),
+    /// MCAP, a topic per channel.
+    Mcap(Box<McapWriter>),
+}
+
+impl RecordWriter {
+    /// Creates the file with the columns and units that `mapping` reads, for rows at a rate in Hz.
+    ///
+    /// # Errors
+    /// The name tells no format, or the file cannot be created or written.
+    pub fn create(path: &Path, mapping: &ColumnMapping, rate_hz: f64) -> Result<Self, RecordError> {
+        match OutputFormat::of(path)? {
+            OutputFormat::Csv => CsvWriter::create_mapped(path, mapping).map(|writer| Self::Csv(Box::new(writer))),
+            OutputFormat::Mcap => {
+                McapWriter::create_mapped(path, mapping, rate_hz).map(|writer| Self::Mcap(Box::new(writer)))
+            }
+        }
+    }
+
+    /// Writes one row: `time_ns` in ns, and one value per column in SI units, `NaN` where it is missing.
+    ///
+    /// # Errors
+    /// The row has the wrong length or an infinite value, or the file cannot be written.
+    pub fn write_row(&mut self, time_ns: i64, values: &[f64]) -> Result<(), RecordError> {
+        match self {
+            Self::Csv(writer) => writer.write_row(time_ns, values),
+            Self::Mcap(writer) => writer.write_row(time_ns, values),
+        }
+    }
+
+    /// Writes what is still in memory to the file.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn finish(self) -> Result<(), RecordError> {
+        match self {
+            Self::Csv(writer) => writer.finish(),
+            Self::Mcap(writer) => writer.finish(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{ChannelColumn, OffsetRemoval, Quantity, RecordReader, Recording};
+
+    #[test]
+    fn rows_of_either_format_read_back_with_the_same_mapping() {
+        let folder = tempfile::tempdir().unwrap();
+        let roof = ChannelColumn::new("roof").with_column("roof_g").with_unit("g", Quantity::Acceleration).unwrap();
+        let base = ChannelColumn::new("base").in_unit_of_file(Quantity::Acceleration);
+        let mapping = ColumnMapping::new(vec![roof.with_calibration(-1.0, 0.0).unwrap(), base]);
+        for name in ["rows.csv", "rows.mcap"] {
+            let path = folder.path().join(name);
+            let mut writer = RecordWriter::create(&path, &mapping, 100.0).unwrap();
+            for step in 0..10_i64 {
+                let base = if step == 4 { f64::NAN } else { 0.5 };
+                writer.write_row(step * 10_000_000, &[step as f64, base]).unwrap();
+            }
+            writer.finish().unwrap();
+            let mut recording = Recording::open(&path, &mapping, OffsetRemoval::Keep).unwrap();
+            assert_eq!(recording.check_sampling_rate(100.0).unwrap(), 100.0, "{name}");
+            for step in 0..10_i64 {
+                let row = recording.next_row().unwrap().unwrap();
+                assert_eq!(row.time_ns, step * 10_000_000, "{name}");
+                assert!((row.values[0] - step as f64).abs() < 1e-12, "{name}");
+                assert!(if step == 4 { row.values[1].is_nan() } else { row.values[1] == 0.5 }, "{name}");
+            }
+        }
+    }
+}

@@ -1,0 +1,246 @@
+//! A recording as it stands in a file: channels with name, unit, sampling rate, start and samples.
+
+use crate::{Quantity, rate::rate_from_times};
+
+/// What the times of a channel count from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TimeOrigin {
+    /// 1970, UTC. Times of day without a zone are taken as UTC.
+    Epoch,
+    /// The start of the recording: the file has no date.
+    Start,
+}
+
+/// Samples without a hole between them, one per time step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Segment {
+    start_ns: i64,
+    samples: Vec<f64>,
+}
+
+impl Segment {
+    /// Samples of which the first was taken at `start_ns`; `NaN` is a missing one.
+    pub fn new(start_ns: i64, samples: Vec<f64>) -> Self {
+        Self { start_ns, samples }
+    }
+
+    /// Time of the first sample in ns.
+    pub fn start_ns(&self) -> i64 {
+        self.start_ns
+    }
+
+    /// The samples in the unit of the channel, `NaN` where one is missing.
+    pub fn samples(&self) -> &[f64] {
+        &self.samples
+    }
+}
+
+/// Samples that are missing between two that are there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Gap {
+    /// Time of the last sample before, in ns.
+    pub after_ns: i64,
+    /// How many samples are missing.
+    pub samples: u64,
+}
+
+/// One channel of a recording.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordedChannel {
+    name: String,
+    unit: Option<String>,
+    description: Option<String>,
+    sampling_rate_hz: Option<f64>,
+    origin: TimeOrigin,
+    segments: Vec<Segment>,
+}
+
+impl RecordedChannel {
+    /// A channel sampled at a rate in Hz; segments come in the order of time and do not overlap.
+    ///
+    /// Without a rate the file says nothing of time, and there is one segment.
+    pub fn new(name: impl Into<String>, sampling_rate_hz: Option<f64>, segments: Vec<Segment>) -> Self {
+        Self {
+            name: name.into(),
+            unit: None,
+            description: None,
+            sampling_rate_hz,
+            origin: TimeOrigin::Start,
+            segments: segments.into_iter().filter(|segment| !segment.samples.is_empty()).collect(),
+        }
+    }
+
+    /// A channel from single samples with their times, which increase; the times tell the rate if it is not stated. Where a
+    /// time is off the grid of the rate by more than half a step, a new segment begins.
+    pub(crate) fn from_times(
+        name: impl Into<String>,
+        stated_rate_hz: Option<f64>,
+        times_ns: &[i64],
+        values: &[f64],
+    ) -> Self {
+        let Some(rate_hz) = stated_rate_hz.or_else(|| rate_from_times(times_ns)) else {
+            let segment = times_ns.first().map(|time_ns| Segment::new(*time_ns, values.to_vec()));
+            return Self::new(name, None, segment.into_iter().collect());
+        };
+        let mut segments: Vec<Segment> = Vec::new();
+        for (time_ns, value) in times_ns.iter().zip(values) {
+            let expected_ns = segments.last().map(|segment| time_of(segment, segment.samples.len(), rate_hz));
+            let off_steps = expected_ns.map(|expected_ns| time_ns.saturating_sub(expected_ns) as f64 * rate_hz / 1e9);
+            match (segments.last_mut(), off_steps) {
+                (Some(segment), Some(off_steps)) if off_steps.abs() <= 0.5 => segment.samples.push(*value),
+                _ => segments.push(Segment::new(*time_ns, vec![*value])),
+            }
+        }
+        Self::new(name, Some(rate_hz), segments)
+    }
+
+    /// The same channel with the unit that the file states.
+    pub fn with_unit(self, unit: impl Into<String>) -> Self {
+        Self { unit: Some(unit.into()).filter(|unit| !unit.is_empty()), ..self }
+    }
+
+    /// The same channel with what the file says of its place and direction.
+    pub fn with_description(self, description: impl Into<String>) -> Self {
+        Self { description: Some(description.into()).filter(|text| !text.is_empty()), ..self }
+    }
+
+    /// The same channel with times that count from `origin`.
+    pub fn with_origin(self, origin: TimeOrigin) -> Self {
+        Self { origin, ..self }
+    }
+
+    /// The same channel with other samples, at another rate in Hz.
+    pub(crate) fn with_samples(&self, rate_hz: f64, segments: Vec<Segment>) -> Self {
+        let Self { name, unit, description, origin, .. } = self.clone();
+        Self { name, unit, description, origin, sampling_rate_hz: Some(rate_hz), segments }
+    }
+
+    pub(crate) fn with_name(self, name: String) -> Self {
+        Self { name, ..self }
+    }
+
+    /// The same channel, at this rate in Hz if the file states none.
+    pub(crate) fn with_declared_rate(self, rate_hz: f64) -> Self {
+        Self { sampling_rate_hz: self.sampling_rate_hz.or(Some(rate_hz)), ..self }
+    }
+
+    /// Name of the channel, one of its kind in the recording.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Unit as the file writes it, if it does.
+    pub fn unit(&self) -> Option<&str> {
+        self.unit.as_deref()
+    }
+
+    /// The quantity that the unit tells, and the factor that takes samples to SI.
+    pub fn quantity(&self) -> Option<(Quantity, f64)> {
+        self.unit.as_deref().and_then(Quantity::of_unit)
+    }
+
+    /// What the file says of place and direction.
+    pub fn description(&self) -> Option<&str> {
+        self.description.as_deref()
+    }
+
+    /// Sampling rate in Hz, if the file tells it.
+    pub fn sampling_rate_hz(&self) -> Option<f64> {
+        self.sampling_rate_hz
+    }
+
+    /// What the times count from.
+    pub fn origin(&self) -> TimeOrigin {
+        self.origin
+    }
+
+    /// The samples in the order of time.
+    pub fn segments(&self) -> &[Segment] {
+        &self.segments
+    }
+
+    /// Samples that are there.
+    pub fn present(&self) -> u64 {
+        self.samples().filter(|sample| !sample.is_nan()).count() as u64
+    }
+
+    /// All samples one after the other, `NaN` where one is missing within a segment.
+    pub fn samples(&self) -> impl Iterator<Item = f64> + '_ {
+        self.segments.iter().flat_map(|segment| segment.samples.iter().copied())
+    }
+
+    /// Time of the first sample in ns.
+    pub fn start_ns(&self) -> Option<i64> {
+        self.segments.first().map(|segment| segment.start_ns)
+    }
+
+    /// Time of the last sample in ns; `None` without samples or rate.
+    pub fn end_ns(&self) -> Option<i64> {
+        let (segment, rate_hz) = (self.segments.last()?, self.sampling_rate_hz?);
+        Some(time_of(segment, segment.samples.len() - 1, rate_hz))
+    }
+
+    /// Times and values in order, missing samples included; empty without a rate.
+    pub fn timed_samples(&self) -> impl Iterator<Item = (i64, f64)> + '_ {
+        self.sampling_rate_hz.into_iter().flat_map(move |rate_hz| {
+            self.segments.iter().flat_map(move |segment| {
+                let timed = segment.samples.iter().enumerate();
+                timed.map(move |(index, value)| (time_of(segment, index, rate_hz), *value))
+            })
+        })
+    }
+
+    /// Runs of samples that are missing between two that are there; empty without a rate.
+    pub fn gaps(&self) -> Vec<Gap> {
+        let Some(rate_hz) = self.sampling_rate_hz else { return Vec::new() };
+        let mut gaps = Vec::new();
+        let mut previous_ns: Option<i64> = None;
+        for (time_ns, _) in self.timed_samples().filter(|(_, value)| !value.is_nan()) {
+            if let Some(after_ns) = previous_ns {
+                let steps = (time_ns.saturating_sub(after_ns) as f64 * rate_hz / 1e9).round() as u64;
+                if steps > 1 {
+                    gaps.push(Gap { after_ns, samples: steps - 1 });
+                }
+            }
+            previous_ns = Some(time_ns);
+        }
+        gaps
+    }
+}
+
+/// Time in ns of sample `index` of a segment: start + round(index · 10⁹ / rate).
+fn time_of(segment: &Segment, index: usize, rate_hz: f64) -> i64 {
+    segment.start_ns.saturating_add((index as f64 * 1e9 / rate_hz).round() as i64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn holes_in_time_and_missing_samples_are_gaps() {
+        let first = Segment::new(0, vec![1.0, f64::NAN, f64::NAN, 2.0]);
+        let second = Segment::new(80_000_000, vec![3.0, 4.0]); // 30 ms are followed by 80 ms: four are missing
+        let channel = RecordedChannel::new("a", Some(100.0), vec![first, second]);
+        let expected = [Gap { after_ns: 0, samples: 2 }, Gap { after_ns: 30_000_000, samples: 4 }];
+        assert_eq!(channel.gaps(), expected);
+        assert_eq!((channel.present(), channel.end_ns()), (4, Some(90_000_000)));
+    }
+
+    #[test]
+    fn times_rounded_to_milliseconds_are_one_segment() {
+        let times_ns: Vec<i64> =
+            (0..5000_i64).map(|row| (row as f64 * 1000.0 / 120.0).round() as i64 * 1_000_000).collect();
+        let channel = RecordedChannel::from_times("a", None, &times_ns, &vec![0.0; times_ns.len()]);
+        assert_eq!(channel.segments().len(), 1);
+        assert!((channel.sampling_rate_hz().unwrap() - 120.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn hole_begins_a_segment() {
+        let times_ns = [0, 10, 20, 50, 60].map(|milliseconds: i64| milliseconds * 1_000_000);
+        let channel = RecordedChannel::from_times("a", None, &times_ns, &[1.0, 2.0, 3.0, 4.0, 5.0]);
+        assert_eq!(channel.segments().len(), 2);
+        assert_eq!(channel.gaps(), [Gap { after_ns: 20_000_000, samples: 2 }]);
+    }
+}

@@ -1,0 +1,289 @@
+//! One entry for all formats: a path gives channels.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{Cursor, Read};
+use std::path::{Path, PathBuf};
+
+use crate::fault::Fault;
+use crate::formats::{at2, cosmos, csmip, matlab, mcap, mini_seed, smc, table, tdms, uff58};
+use crate::table_layout::HEAD_BYTES;
+use crate::unpacked::UnpackingBudget;
+use crate::{ColumnMapping, Format, RecordError, RecordedChannel, TimeUnit};
+
+/// What a file may not say of itself.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ReadOptions {
+    /// Column of the time in a table.
+    pub time_column: Option<String>,
+    /// Unit of times in a table that are numbers; seconds if it is not given.
+    pub time_unit: Option<TimeUnit>,
+    /// Sampling rate in Hz of channels for which the file states none.
+    pub sampling_rate_hz: Option<f64>,
+    /// Whether names of columns in a table tell their units.
+    pub table_units: TableUnits,
+}
+
+/// Where the units of a table stand.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum TableUnits {
+    /// In brackets behind the name of the column: `roof [g]`.
+    #[default]
+    InBrackets,
+    /// Nowhere: what is in brackets is part of the name.
+    Unstated,
+}
+
+/// A recording as it stands in a file, whole and in memory.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordedFile {
+    path: PathBuf,
+    format: Format,
+    channels: Vec<RecordedChannel>,
+    remarks: Vec<String>,
+}
+
+/// Archives within archives beyond this are not looked into.
+const DEEPEST: usize = 3;
+/// Files in an archive or folder beyond this are no recording.
+const MOST_MEMBERS: usize = 10_000;
+
+/// What was read of a file.
+struct Contents {
+    format: Format,
+    channels: Vec<RecordedChannel>,
+    remarks: Vec<String>,
+}
+
+impl RecordedFile {
+    /// Reads a file of any known format, told by its content and then by its name; or all recordings of a folder.
+    ///
+    /// # Errors
+    /// The format is not known, or the content breaks its rules; the error says where.
+    pub fn read(path: &Path, options: &ReadOptions) -> Result<Self, RecordError> {
+        if let Some(found_hz) = options.sampling_rate_hz.filter(|rate_hz| !(rate_hz.is_finite() && *rate_hz > 0.0)) {
+            return Err(RecordError::DeclaredRate { found_hz });
+        }
+        let contents = match path.is_dir() {
+            true => Reading::of(options).members(folder_members(path)?, path, Format::Folder, 0)?,
+            false => Reading::of(options).bytes(file_bytes(path)?, path, 0)?,
+        };
+        let declared = |channel: RecordedChannel| match options.sampling_rate_hz {
+            Some(rate_hz) => channel.with_declared_rate(rate_hz),
+            None => channel,
+        };
+        let Contents { format, channels, remarks } = contents;
+        let channels = channels.into_iter().map(declared).collect();
+        Ok(Self { path: path.to_owned(), format, channels, remarks })
+    }
+
+    /// A recording from channels that are there already.
+    pub fn from_channels(path: &Path, format: Format, channels: Vec<RecordedChannel>) -> Self {
+        Self { path: path.to_owned(), format, channels, remarks: Vec::new() }
+    }
+
+    /// The file, or folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Its format.
+    pub fn format(&self) -> Format {
+        self.format
+    }
+
+    /// Its channels, in the order of the file.
+    pub fn channels(&self) -> &[RecordedChannel] {
+        &self.channels
+    }
+
+    /// What a person should know: that a file was cut off, what of an archive was left out.
+    pub fn remarks(&self) -> &[String] {
+        &self.remarks
+    }
+
+    /// The same recording with the channels of a mapping alone; those that it lacks are found out later.
+    pub(crate) fn only(self, mapping: &ColumnMapping) -> Self {
+        let is_mapped =
+            |channel: &RecordedChannel| mapping.channels().iter().any(|column| column.column() == channel.name());
+        let channels = match self.channels.iter().any(is_mapped) {
+            true => self.channels.iter().filter(|channel| is_mapped(channel)).cloned().collect(),
+            false => self.channels.clone(),
+        };
+        self.with_channels(channels)
+    }
+
+    /// The same recording with other channels.
+    pub(crate) fn with_channels(self, channels: Vec<RecordedChannel>) -> Self {
+        Self { channels, ..self }
+    }
+}
+
+fn file_bytes(path: &Path) -> Result<Vec<u8>, RecordError> {
+    let mut file = File::open(path).map_err(|source| RecordError::Open { path: path.to_owned(), source })?;
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes).map_err(|source| RecordError::ReadFile { path: path.to_owned(), source })?;
+    Ok(bytes)
+}
+
+fn head_of(bytes: &[u8]) -> &[u8] {
+    &bytes[..bytes.len().min(HEAD_BYTES as usize)]
+}
+
+fn fault(path: &Path, format: Format, fault: Fault) -> RecordError {
+    RecordError::Format { path: path.to_owned(), format: format.name(), fault: Box::new(fault) }
+}
+
+/// The reading of a file, with all files inside it.
+struct Reading<'a> {
+    options: &'a ReadOptions,
+    budget: UnpackingBudget,
+}
+
+impl<'a> Reading<'a> {
+    fn of(options: &'a ReadOptions) -> Self {
+        Self { options, budget: UnpackingBudget::new() }
+    }
+
+    /// Reads the content of a file.
+    fn bytes(&mut self, bytes: Vec<u8>, path: &Path, depth: usize) -> Result<Contents, RecordError> {
+        let Some(format) = Format::of(head_of(&bytes), path) else {
+            return Err(RecordError::UnknownFormat { path: path.to_owned(), allowed: Format::names() });
+        };
+        let refused = |source: Fault| fault(path, format, source);
+        let mut remarks = Vec::new();
+        let channels = match format {
+            Format::Table => table::read(bytes, path, self.options)?,
+            Format::MiniSeed => mini_seed::read(&bytes).map_err(refused)?,
+            Format::Cosmos => cosmos::read(&bytes).map_err(refused)?,
+            Format::Csmip => csmip::read(&bytes).map_err(refused)?,
+            Format::Matlab => matlab::read(&bytes).map_err(refused)?,
+            Format::Uff58 => uff58::read(&bytes).map_err(refused)?,
+            Format::At2 => at2::read(&bytes).map_err(refused)?,
+            Format::Smc => smc::read(&bytes).map_err(refused)?,
+            Format::Tdms => tdms::read(&bytes).map_err(refused)?,
+            Format::Mcap => {
+                let (channels, told) = mcap::read(&bytes).map_err(refused)?;
+                remarks = told;
+                channels
+            }
+            Format::Gzip | Format::Zip if depth >= DEEPEST => {
+                return Err(refused(Fault::of_file(
+                    "depth of archives in archives",
+                    depth + 1,
+                    format!("at most {DEEPEST}"),
+                )));
+            }
+            Format::Gzip => {
+                let inner = self
+                    .budget
+                    .unpack(flate2::read::MultiGzDecoder::new(bytes.as_slice()))
+                    .map_err(|found| refused(Fault::of_file("compressed content", found, "data of gzip")))?;
+                return self.bytes(inner, &path.with_extension(""), depth + 1);
+            }
+            Format::Zip => {
+                let members = zip_members(&bytes, path, &mut self.budget)?;
+                return self.members(members, path, format, depth);
+            }
+            Format::Folder => Vec::new(), // of a path, and not of bytes
+        };
+        Ok(Contents { format, channels, remarks })
+    }
+
+    /// Reads all members that are recordings. Names that are there more than once get the name of their file in front.
+    fn members(
+        &mut self,
+        members: Members,
+        path: &Path,
+        format: Format,
+        depth: usize,
+    ) -> Result<Contents, RecordError> {
+        let mut channels: Vec<(String, RecordedChannel)> = Vec::new();
+        let (mut remarks, mut left_out) = (Vec::new(), Vec::new());
+        for (name, bytes) in members {
+            // by content alone: an archive also holds read-me files
+            if Format::of_content(head_of(&bytes)).is_none() {
+                left_out.push(name);
+                continue;
+            }
+            let contents = self.bytes(bytes, &path.join(&name), depth + 1)?;
+            let stem = Path::new(&name).with_extension("").to_string_lossy().into_owned();
+            remarks.extend(contents.remarks.into_iter().map(|remark| format!("{name}: {remark}")));
+            channels.extend(contents.channels.into_iter().map(|channel| (stem.clone(), channel)));
+        }
+        if channels.is_empty() {
+            let found = if left_out.is_empty() { "no file".to_owned() } else { left_out.join(", ") };
+            return Err(fault(
+                path,
+                format,
+                Fault::of_file("content", found, "at least one recording of a known format"),
+            ));
+        }
+        if !left_out.is_empty() {
+            remarks.push(format!("left out, of no known format: {}", left_out.join(", ")));
+        }
+        let mut times: BTreeMap<String, usize> = BTreeMap::new();
+        for (_, channel) in &channels {
+            *times.entry(channel.name().to_owned()).or_default() += 1;
+        }
+        let unique = |(stem, channel): (String, RecordedChannel)| match times.get(channel.name()) {
+            Some(2..) => {
+                let name = format!("{stem}/{}", channel.name());
+                channel.with_name(name)
+            }
+            _ => channel,
+        };
+        Ok(Contents { format, channels: channels.into_iter().map(unique).collect(), remarks })
+    }
+}
+
+/// The files of an archive or folder: name and content.
+type Members = Vec<(String, Vec<u8>)>;
+
+fn zip_members(bytes: &[u8], path: &Path, budget: &mut UnpackingBudget) -> Result<Members, RecordError> {
+    let refused = |what: String, error: zip::result::ZipError| {
+        fault(path, Format::Zip, Fault::of_file(what, format!("damaged ({error})"), "whole"))
+    };
+    let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(|error| refused("archive".to_owned(), error))?;
+    if archive.len() > MOST_MEMBERS {
+        let found = Fault::of_file("number of files", archive.len(), format!("at most {MOST_MEMBERS}"));
+        return Err(fault(path, Format::Zip, found));
+    }
+    let mut members = Vec::new();
+    for index in 0..archive.len() {
+        let member = archive.by_index(index).map_err(|error| refused(format!("file {}", index + 1), error))?;
+        if member.is_dir() {
+            continue;
+        }
+        let name = member.name().map_err(|error| refused(format!("name of file {}", index + 1), error))?.into_owned();
+        let content = budget.unpack(member).map_err(|found| {
+            fault(&path.join(&name), Format::Zip, Fault::of_file("compressed content", found, "whole"))
+        })?;
+        members.push((name, content));
+    }
+    Ok(members)
+}
+
+fn folder_members(path: &Path) -> Result<Members, RecordError> {
+    let refused = |source| RecordError::ReadFile { path: path.to_owned(), source };
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(path).map_err(refused)? {
+        let file = entry.map_err(refused)?.path();
+        if file.is_file() {
+            files.push(file);
+        }
+        if files.len() > MOST_MEMBERS {
+            let found = Fault::of_file("number of files", "more", format!("at most {MOST_MEMBERS}"));
+            return Err(fault(path, Format::Folder, found));
+        }
+    }
+    files.sort_unstable();
+    let named = |file: PathBuf| {
+        let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        Ok((name, file_bytes(&file)?))
+    };
+    files.into_iter().map(named).collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,171 @@
+//! Power spectral density by Welch's method, and its peaks.
+//!
+//! Source: P. D. Welch (1967), *IEEE Transactions on Audio and Electroacoustics* 15, 70–73: windows of Hann that overlap by half, each
+//! without its mean; the density is one-sided.
+
+use std::f64::consts::PI;
+
+use realfft::RealFftPlanner;
+
+use crate::RecordedChannel;
+use crate::resample::runs;
+
+/// Samples of a window: at most, for a spectrum that a person reads, and at least, to have one at all.
+const LONGEST_WINDOW: usize = 8192;
+const SHORTEST_WINDOW: usize = 64;
+/// Windows over which a record is averaged where it is long enough; they overlap by half.
+const AVERAGES: usize = 8;
+/// Factor by which a peak stands above the higher of the valleys beside it.
+const PROMINENCE: f64 = 4.0;
+/// Peaks that are told.
+const MOST_PEAKS: usize = 6;
+
+/// A one-sided power spectral density.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Spectrum {
+    step_hz: f64,
+    density: Vec<f64>,
+}
+
+/// A peak of a spectrum.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SpectralPeak {
+    /// Where it stands, in Hz, by a parabola through the logarithms of its three highest values.
+    pub frequency_hz: f64,
+    /// How high, in unit²/Hz.
+    pub density: f64,
+}
+
+impl Spectrum {
+    /// The spectrum of a channel; gaps are left out. `None` if there is no rate, or no run of 64 samples without a gap.
+    pub fn of(channel: &RecordedChannel) -> Option<Self> {
+        let rate_hz = channel.sampling_rate_hz()?;
+        let runs: Vec<&[f64]> =
+            channel.segments().iter().flat_map(|segment| runs(segment.samples()).map(|(_, run)| run)).collect();
+        let longest = runs.iter().map(|run| run.len()).max()?;
+        let wanted = (2 * longest / (AVERAGES + 1)).clamp(SHORTEST_WINDOW, LONGEST_WINDOW).min(longest);
+        let length = 1 << wanted.checked_ilog2()?;
+        if length < SHORTEST_WINDOW {
+            return None;
+        }
+        let transform = RealFftPlanner::<f64>::new().plan_fft_forward(length);
+        let window: Vec<f64> = (0..length).map(|n| 0.5 - 0.5 * (2.0 * PI * n as f64 / length as f64).cos()).collect();
+        let power: f64 = window.iter().map(|weight| weight * weight).sum();
+        let mut input = transform.make_input_vec();
+        let mut output = transform.make_output_vec();
+        let mut density = vec![0.0; output.len()];
+        let mut windows = 0_u32;
+        for run in runs {
+            for piece in run.windows(length).step_by(length / 2) {
+                let mean = piece.iter().sum::<f64>() / length as f64;
+                input
+                    .iter_mut()
+                    .zip(piece)
+                    .zip(&window)
+                    .for_each(|((input, sample), weight)| *input = (sample - mean) * weight);
+                transform.process(&mut input, &mut output).ok()?; // lengths are those of the plan
+                density.iter_mut().zip(&output).for_each(|(density, value)| *density += value.norm_sqr());
+                windows += 1;
+            }
+        }
+        let scale = 2.0 / (rate_hz * power * f64::from(windows));
+        density.iter_mut().for_each(|density| *density *= scale);
+        // zero and half the sampling rate have no mirror image
+        for end in [0, density.len() - 1] {
+            density[end] /= 2.0;
+        }
+        Some(Self { step_hz: rate_hz / length as f64, density })
+    }
+
+    /// Distance of two values, in Hz; the first one stands at 0 Hz.
+    pub fn step_hz(&self) -> f64 {
+        self.step_hz
+    }
+
+    /// The density in unit²/Hz, from 0 Hz to half the sampling rate.
+    pub fn density(&self) -> &[f64] {
+        &self.density
+    }
+
+    /// The highest peaks, at most six, in the order of frequency.
+    pub fn peaks(&self) -> Vec<SpectralPeak> {
+        let density = &self.density;
+        let mut peaks: Vec<SpectralPeak> = Vec::new();
+        // next to 0 Hz stand drift and what is left of the mean
+        for index in 2..density.len().saturating_sub(1) {
+            let height = density[index];
+            let is_highest = height > density[index - 1] && height >= density[index + 1];
+            if is_highest && height >= PROMINENCE * valley_beside(density, index) {
+                peaks.push(self.peak(index));
+            }
+        }
+        peaks.sort_by(|one, other| other.density.total_cmp(&one.density));
+        peaks.truncate(MOST_PEAKS);
+        peaks.sort_by(|one, other| one.frequency_hz.total_cmp(&other.frequency_hz));
+        peaks
+    }
+
+    fn peak(&self, index: usize) -> SpectralPeak {
+        let [before, here, after] =
+            [index - 1, index, index + 1].map(|index| self.density[index].max(f64::MIN_POSITIVE).ln());
+        let curvature = before - 2.0 * here + after;
+        let shift = if curvature < 0.0 { 0.5 * (before - after) / curvature } else { 0.0 };
+        SpectralPeak { frequency_hz: (index as f64 + shift) * self.step_hz, density: self.density[index] }
+    }
+}
+
+/// The higher of the lowest values on either side, up to where the density is higher than at the peak.
+fn valley_beside(density: &[f64], index: usize) -> f64 {
+    let height = density[index];
+    let lowest = |values: &mut dyn Iterator<Item = &f64>| {
+        values.take_while(|value| **value <= height).fold(height, |lowest, value| lowest.min(*value))
+    };
+    let left = lowest(&mut density[..index].iter().rev());
+    let right = lowest(&mut density[index + 1..].iter());
+    left.max(right).max(f64::MIN_POSITIVE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Segment;
+
+    fn channel(samples: Vec<f64>) -> RecordedChannel {
+        RecordedChannel::new("a", Some(200.0), vec![Segment::new(0, samples)])
+    }
+
+    fn two_sines() -> Vec<f64> {
+        let sine = |time_s: f64, frequency_hz: f64| (2.0 * PI * frequency_hz * time_s).sin();
+        (0..20_000).map(|n| n as f64 / 200.0).map(|t| 5.0 + 3.0 * sine(t, 1.27) + 0.5 * sine(t, 14.2)).collect()
+    }
+
+    #[test]
+    fn peaks_stand_at_the_frequencies_of_the_sines() {
+        let peaks = Spectrum::of(&channel(two_sines())).unwrap().peaks();
+        let frequencies: Vec<f64> = peaks.iter().map(|peak| peak.frequency_hz).collect();
+        assert_eq!(frequencies.len(), 2, "{frequencies:?}");
+        assert!((frequencies[0] - 1.27).abs() < 0.01 && (frequencies[1] - 14.2).abs() < 0.01, "{frequencies:?}");
+    }
+
+    #[test]
+    fn density_sums_to_the_variance() {
+        // Parseval: 3²/2 + 0.5²/2
+        let spectrum = Spectrum::of(&channel(two_sines())).unwrap();
+        let variance = spectrum.density().iter().sum::<f64>() * spectrum.step_hz();
+        assert!((variance - 4.625).abs() < 0.01, "{variance}");
+    }
+
+    #[test]
+    fn gap_does_not_show() {
+        let mut samples = two_sines();
+        samples[10_000..10_300].fill(f64::NAN);
+        let peaks = Spectrum::of(&channel(samples)).unwrap().peaks();
+        assert_eq!(peaks.len(), 2);
+    }
+
+    #[test]
+    fn short_record_has_none() {
+        assert_eq!(Spectrum::of(&channel(vec![1.0; 63])), None);
+        assert!(Spectrum::of(&channel(vec![1.0; 64])).unwrap().peaks().is_empty());
+    }
+}

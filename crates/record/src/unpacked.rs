@@ -1,0 +1,45 @@
+//! Unpacks compressed data with an upper bound: a small file may claim to be a large one.
+
+use std::io::Read;
+
+/// Bytes that may be unpacked of one file: more than a day of 20 channels at 200 Hz as text.
+const MOST_BYTES: u64 = 4 << 30;
+
+/// What may still be unpacked of a file, with all that is inside it.
+#[derive(Debug)]
+pub(crate) struct UnpackingBudget {
+    left: u64,
+}
+
+impl UnpackingBudget {
+    pub(crate) fn new() -> Self {
+        Self { left: MOST_BYTES }
+    }
+
+    /// Reads all that a decoder gives; the memory grows with it, not with what a header states. The error is what was found.
+    pub(crate) fn unpack(&mut self, decoder: impl Read) -> Result<Vec<u8>, String> {
+        let mut bytes = Vec::new();
+        decoder.take(self.left + 1).read_to_end(&mut bytes).map_err(|error| format!("damaged ({error})"))?;
+        match self.left.checked_sub(bytes.len() as u64) {
+            Some(left) => {
+                self.left = left;
+                Ok(bytes)
+            }
+            None => Err(format!("more than {} GiB with what stands before it", MOST_BYTES >> 30)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn budget_is_that_of_all_that_is_unpacked() {
+        let mut budget = UnpackingBudget { left: 10 };
+        assert_eq!(budget.unpack(&[1; 6][..]).unwrap().len(), 6);
+        assert!(budget.unpack(&[1; 5][..]).is_err());
+        assert_eq!(budget.unpack(&[1; 4][..]).unwrap().len(), 4);
+        assert!(budget.unpack(std::io::repeat(0)).unwrap_err().starts_with("more than 4 GiB"));
+    }
+}

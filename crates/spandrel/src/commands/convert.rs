@@ -1,0 +1,25 @@
+//! `spandrel convert`: a recording in another format, at another rate if that is asked for.
+
+use super::{counted, print, refuse_overwriting};
+use crate::cli::ConvertArguments;
+use crate::error::AppError;
+use spandrel_record::{OutputFormat, RecordedFile};
+
+/// Reads a recording and writes it as CSV or MCAP, in SI units where its own are known.
+///
+/// # Errors
+/// When the recording is wrong, or cannot be written in that format.
+pub fn run(arguments: &ConvertArguments) -> Result<(), AppError> {
+    refuse_overwriting(&arguments.output, [arguments.record.as_path()])?;
+    OutputFormat::of(&arguments.output)?;
+    let file = RecordedFile::read(&arguments.record, &arguments.reading.options())?;
+    let file = match arguments.resample {
+        Some(rate_hz) => file.resampled(rate_hz)?,
+        None => file,
+    };
+    file.write(&arguments.output)?;
+    let channels = counted(file.channels().len(), "channel", "channels");
+    let mut text = format!("{}: {channels} of {}\n", arguments.output.display(), arguments.record.display());
+    file.remarks().iter().for_each(|remark| text += &format!("  {remark}\n"));
+    print(&text)
+}
