@@ -1,6 +1,7 @@
 //! Small dense kernels that allocate nothing: nalgebra's own give up their storage on failure or pack into new buffers.
 
 use nalgebra::DMatrix;
+use pulp::Arch;
 
 /// Replaces the lower triangle of a symmetric positive definite matrix by its Cholesky factor `L`; zeroes the rest.
 ///
@@ -48,6 +49,38 @@ pub(crate) fn solve_lower_mut(factor: &DMatrix<f64>, columns: &mut [f64]) {
                 entry -= factor[(i, k)] * column[k];
             }
             column[i] = entry / factor[(i, i)];
+        }
+    }
+}
+
+/// Rows of a matrix that are solved for together: they stay in the nearest memory.
+const ROWS: usize = 64;
+
+/// Replaces every row `b` (in a column-major slice) by `L⁻¹ b`.
+pub(crate) fn solve_lower_of_rows_mut(factor: &DMatrix<f64>, columns: &mut [f64]) {
+    Arch::new().dispatch(|| solve_lower_of_rows(factor, columns));
+}
+
+#[inline(always)]
+fn solve_lower_of_rows(factor: &DMatrix<f64>, columns: &mut [f64]) {
+    let m = factor.nrows();
+    if m == 0 {
+        return;
+    }
+    let rows = columns.len() / m;
+    for first in (0..rows).step_by(ROWS) {
+        let end = (first + ROWS).min(rows);
+        for i in 0..m {
+            let (solved, rest) = columns.split_at_mut(i * rows);
+            let entries = &mut rest[first..end];
+            for (k, column) in solved.chunks_exact(rows).enumerate() {
+                let weight = factor[(i, k)];
+                for (entry, known) in entries.iter_mut().zip(&column[first..end]) {
+                    *entry -= weight * known;
+                }
+            }
+            let reciprocal = 1.0 / factor[(i, i)];
+            entries.iter_mut().for_each(|entry| *entry *= reciprocal);
         }
     }
 }
@@ -150,6 +183,11 @@ mod tests {
         solve_lower_mut(&factor, b.as_mut_slice());
         solve_lower_transposed_mut(&factor, b.as_mut_slice());
         assert!((b - expected).amax() < 1e-12);
+        let rows = DMatrix::from_fn(150, 7, |i, j| (i as f64 + 0.3 * j as f64).cos());
+        let expected = reference.l().solve_lower_triangular(&rows.transpose()).unwrap().transpose();
+        let mut solved = rows;
+        solve_lower_of_rows_mut(&factor, solved.as_mut_slice());
+        assert!((solved - expected).amax() < 1e-12);
     }
 
     #[test]

@@ -15,8 +15,9 @@ use crate::noise::{
     ExcitationPath, NoiseEvents, NoiseModel, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget, Objective,
 };
 use crate::outlier::{OutlierSettings, OutlierState};
+use crate::product::{Extent, Left, Multiplier, Right, Sum};
 use crate::proportional;
-use crate::update::{self, CovarianceForm, ExcitationPosterior};
+use crate::update::{self, CovarianceForm, ExcitationPosterior, ExcitationSpread};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
@@ -206,8 +207,10 @@ struct Workspace {
     constant: Option<ConstantPath>,
     /// the transition of a linear structure with proportional damping
     proportional: Option<proportional::Transition>,
-    /// P (n × n)
+    /// P (n × n), but for what the unknown excitation of the step adds
     covariance: DMatrix<f64>,
+    /// (I − GH) P (n × n)
+    corrected: DMatrix<f64>,
     /// y predicted (n)
     mean: DVector<f64>,
     /// [Γg, B] (n × (1 + N_f))
@@ -220,8 +223,15 @@ struct Workspace {
     p_ht: DMatrix<f64>,
     /// H B (N_0 × N_f)
     h_b: DMatrix<f64>,
+    /// λ B Σ_f (n × N_f)
+    input_spread: DMatrix<f64>,
     /// A C (n × N_f)
     cross: DMatrix<f64>,
+    /// [A C, B] (n × 2N_f), its halves swapped and transposed (2N_f × n)
+    pair: DMatrix<f64>,
+    swapped_pair: DMatrix<f64>,
+    by_pair: Right,
+    multiplier: Multiplier,
     /// what of the predicted datum's covariance does not depend on ψ (N_0 × N_0)
     frame_known: DMatrix<f64>,
     /// Σ_f of the coming step and of the frame (N_f × N_f), Σ_n (N_0 × N_0)
@@ -263,16 +273,22 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             constant,
             proportional: model.proportional_form().map(|form| proportional::Transition::new(&form)),
             discretise: discretise::Workspace::new(n, inputs),
-            update: update::Workspace::new(n, channels, settings.covariance_form),
+            update: update::Workspace::new(n, channels, inputs, settings.covariance_form),
             objective: Objective::new(channels, settings.noise.parameters.len()),
             covariance: DMatrix::zeros(n, n),
+            corrected: DMatrix::zeros(n, n),
             mean: DVector::zeros(n),
             inputs: DMatrix::zeros(n, 1 + inputs),
             input_matrix: DMatrix::zeros(n, inputs),
             h_p: DMatrix::zeros(channels, n),
             p_ht: DMatrix::zeros(n, channels),
             h_b,
+            input_spread: DMatrix::zeros(n, inputs),
             cross: DMatrix::zeros(n, inputs),
+            pair: DMatrix::zeros(n, 2 * inputs),
+            swapped_pair: DMatrix::zeros(2 * inputs, n),
+            by_pair: Right::new(2 * inputs, n, 1),
+            multiplier: Multiplier::new(),
             frame_known: DMatrix::zeros(channels, channels),
             step_excitation: DMatrix::zeros(inputs, inputs),
             frame_excitation: DMatrix::zeros(inputs, inputs),
@@ -342,16 +358,20 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         if !evidence.log_evidence.is_finite() {
             return Err(FilterError::NotFinite { what: "normalised innovation", index: 0 });
         }
+        let spread = self.excitation_is_fresh().then_some(());
+        let Self { model, work, .. } = self;
         update::correct(
-            &self.model,
-            &mut self.work.mean,
-            &mut self.work.covariance,
-            &mut self.work.h_p,
-            &self.work.sensors,
-            &mut self.work.update,
+            model,
+            &mut work.mean,
+            &work.covariance,
+            spread.map(|()| ExcitationSpread { input: &work.input_matrix, scaled: &work.input_spread }),
+            &mut work.h_p,
+            &work.sensors,
+            &mut work.corrected,
+            &mut work.update,
         );
         let limited_states = self.limit_state();
-        let bounded_variances = bound_variances_mut(&mut self.work.covariance, &self.settings.variance_bound);
+        let bounded_variances = bound_variances_mut(&mut self.work.corrected, &self.settings.variance_bound);
         self.check_result()?;
         self.commit(frame, evidence.normalised_innovation_squared);
         Ok(Step {
@@ -583,6 +603,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             transition.predict_mean_mut(&mut work.mean, held, ramp, column);
             work.input_matrix.copy_from(transition.held_input());
             transition.propagate_covariance_to(&state.covariance, &mut work.covariance, column);
+            work.covariance *= settings.fading.value();
+            symmetrise_mut(&mut work.covariance);
             if let Some(ExcitationPosterior { cross, .. }) = &state.posterior {
                 work.cross.copy_from(cross);
                 transition.mul_mut(&mut work.cross, column);
@@ -607,7 +629,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let (step_s, rate_bound) = (settings.step_s, model.rate_bound());
         if let Some((transition, form)) = work.proportional.as_mut().zip(model.proportional_form()) {
             transition.discretise(&form, step_s, rate_bound, &mut work.inputs, ramp);
-            transition.propagate_covariance_to(&state.covariance, &mut work.covariance);
+            transition.propagate_covariance_to(&state.covariance, settings.fading.value(), &mut work.covariance);
             if let Some(cross) = cross {
                 transition.mul_mut(cross);
             }
@@ -615,6 +637,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             let (series, scratch) = (Series::choose(rate_bound, step_s), &mut work.discretise);
             discretise::integrate_inputs(model, step_s, series, &mut work.inputs, ramp, scratch);
             discretise::propagate_covariance(model, step_s, series, &state.covariance, &mut work.covariance, scratch);
+            work.covariance *= settings.fading.value();
+            symmetrise_mut(&mut work.covariance);
             if let Some(cross) = cross {
                 discretise::transition_mul_narrow(model, step_s, series, cross, scratch);
             }
@@ -626,27 +650,27 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         self.finish_prediction();
     }
 
-    /// Adds what the frame before has told of the excitation, given `A C` in the scratch space, and fades.
+    /// Adds what the frame before has told of the excitation, given `A C` in the scratch space.
     fn finish_prediction(&mut self) {
         let Self { settings, state, work, .. } = self;
-        let n = work.mean.len();
-        if let Some(ExcitationPosterior { covariance, .. }) = &state.posterior {
-            // A Σ Aᵀ + A C Bᵀ + B Cᵀ Aᵀ + B W Bᵀ: the sensors have already felt the excitation of this step. Half of the last
-            // goes to each of the two before, so that many forces cost no more than the state is long
-            for b in 0..work.cross.ncols() {
-                work.cross.column_mut(b).gemv(0.5, &work.input_matrix, &covariance.column(b), 1.0);
-            }
-            for b in 0..work.cross.ncols() {
-                for j in 0..n {
-                    for i in 0..n {
-                        work.covariance[(i, j)] += work.cross[(i, b)] * work.input_matrix[(j, b)]
-                            + work.input_matrix[(i, b)] * work.cross[(j, b)];
-                    }
-                }
-            }
+        let Some(ExcitationPosterior { covariance, .. }) = &state.posterior else {
+            return;
+        };
+        // A Σ Aᵀ + A C Bᵀ + B Cᵀ Aᵀ + B W Bᵀ: the sensors have already felt the excitation of this step. Half of the last
+        // goes to each of the two before, so that many forces cost no more than the state is long
+        let inputs = work.cross.ncols();
+        for b in 0..inputs {
+            work.cross.column_mut(b).gemv(0.5, &work.input_matrix, &covariance.column(b), 1.0);
         }
-        work.covariance *= settings.fading.value();
-        symmetrise_mut(&mut work.covariance);
+        work.pair.columns_mut(0, inputs).copy_from(&work.cross);
+        work.pair.columns_mut(inputs, inputs).copy_from(&work.input_matrix);
+        work.swapped_pair.rows_mut(0, inputs).tr_copy_from(&work.input_matrix);
+        work.swapped_pair.rows_mut(inputs, inputs).tr_copy_from(&work.cross);
+        work.by_pair.pack(&work.swapped_pair);
+        let sum = Sum { factor: settings.fading.value(), start: Some(&work.covariance) };
+        work.multiplier.multiply_to(Left::new(&work.pair), &work.by_pair, Extent::Lower, sum, &mut work.corrected);
+        std::mem::swap(&mut work.covariance, &mut work.corrected);
+        work.multiplier.mirror_lower_mut(&mut work.covariance);
     }
 
     /// Writes innovation, `S`, `H P` and `P`; screens outliers and moves the noise parameters in between.
@@ -763,7 +787,15 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         state.noise.update(&settings.noise, &settings.noise_settings, objective)
     }
 
-    /// Adds the noises to `P`, `H P` and `S`.
+    /// Tells whether the unknown excitation of the coming step adds to the predicted covariance by its matrix `B`.
+    ///
+    /// It does not where the frame before has told of it, or where the model is constant and has other means.
+    fn excitation_is_fresh(&self) -> bool {
+        let felt = self.state.posterior.is_some() && !self.state.fresh;
+        self.work.constant.is_none() && !felt
+    }
+
+    /// Adds the noises to `H P` and `S`, and to `P` where the model is constant.
     fn add_noises(&mut self) {
         let annealing = self.annealing();
         let Self { model, settings, state, work, .. } = self;
@@ -783,17 +815,11 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 );
             }
         } else if !felt {
-            add_quadratic_form_mut(&mut work.covariance, &work.input_matrix, &work.step_excitation, lambda);
             add_quadratic_form_mut(innovation_covariance, &work.h_b, &work.step_excitation, lambda);
-            for b in 0..work.step_excitation.ncols() {
-                for a in 0..work.step_excitation.nrows() {
-                    let weight = lambda * work.step_excitation[(a, b)];
-                    for j in 0..work.h_p.ncols() {
-                        let right = weight * work.input_matrix[(j, b)];
-                        for i in 0..work.h_p.nrows() {
-                            work.h_p[(i, j)] += work.h_b[(i, a)] * right; // H B Σ_f Bᵀ
-                        }
-                    }
+            for (b, mut spread) in work.input_spread.column_iter_mut().enumerate() {
+                spread.gemv(lambda, &work.input_matrix, &work.step_excitation.column(b), 0.0); // λ B Σ_f
+                for (j, spread) in spread.iter().enumerate() {
+                    work.h_p.column_mut(j).axpy(*spread, &work.h_b.column(b), 1.0); // + H B Σ_f Bᵀ, because Σ_f is symmetric
                 }
             }
         }
@@ -830,16 +856,16 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             if !work.mean[index].is_finite() {
                 return Err(FilterError::NotFinite { what: "mean of state", index });
             }
-            let variance = work.covariance[(index, index)];
+            let variance = work.corrected[(index, index)];
             if !variance.is_finite() {
                 return Err(FilterError::NotFinite { what: "variance of state", index });
             }
             if variance < 0.0 {
-                let largest = work.covariance.diagonal().max();
+                let largest = work.corrected.diagonal().max();
                 if variance < -ROUNDING * largest {
                     return Err(FilterError::NegativeVariance { index, variance });
                 }
-                work.covariance[(index, index)] = 0.0;
+                work.corrected[(index, index)] = 0.0;
             }
         }
         Ok(())
@@ -852,7 +878,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             update::infer_excitation(direct, &work.frame_excitation, &work.h_p, &work.update, posterior);
         }
         state.mean.copy_from(&work.mean);
-        state.covariance.copy_from(&work.covariance);
+        std::mem::swap(&mut state.covariance, &mut work.corrected);
         let weight = 1.0 / (state.steps as f64 + 1.0).min(settings.fading.memory_steps());
         for j in 0..state.last_excitation.len() {
             let known = frame.excitation[j];

@@ -1,52 +1,273 @@
 //! Products of dense matrices that allocate nothing and leave out what is known to be zero.
 //!
-//! The left factor is copied into strips of a few rows, so that the innermost loop runs over neighbours in memory and its sums
-//! stay in registers (Goto & van de Geijn 2008, *ACM Trans. Math. Softw.* 34, 12). The order of every sum is fixed: a product
-//! has the same bits on every machine of one instruction set.
+//! A strip of rows of the left factor, as many as registers hold, meets four columns of the right one at a time: every entry
+//! that is loaded then serves several sums, which stay in registers (Goto & van de Geijn 2008, *ACM Trans. Math. Softw.* 34,
+//! 12). The instructions are chosen when the program runs. The order of every sum is fixed: a product has the same bits on
+//! every machine of one instruction set.
 
 use nalgebra::DMatrix;
+use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
 
-/// Rows of a strip: eight registers of two doubles, which every 64-bit machine has to spare.
-const ROWS: usize = 16;
+/// Columns of the right factor that are multiplied together.
+const COLUMNS: usize = 4;
 
-/// The rows of a column of the right factor that meet entries of the left one which are not zero; the rest is left out.
-pub(crate) type Spans = [Range<usize>; 3];
+/// Registers of rows in a strip: with [`COLUMNS`] of them sixteen sums, half of the registers of wide instruction sets.
+const MOST_REGISTERS: usize = 4;
 
-/// An entry of a product that is zero, or that nobody reads.
-pub(crate) const NOTHING: Spans = [0..0, 0..0, 0..0];
-
-/// The left factor of a product.
-#[derive(Debug, Clone, Copy)]
-pub(crate) enum Left<'m> {
-    /// The matrix itself.
-    Plain(&'m DMatrix<f64>),
-    /// Its transpose.
-    Transposed(&'m DMatrix<f64>),
+/// The right factor of a product (k × c), packed in the order in which it is read.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Right {
+    columns: usize,
+    /// Runs of rows of all groups of [`COLUMNS`] columns.
+    runs: Vec<Range<usize>>,
+    /// Where the runs of a group end.
+    ends: Vec<usize>,
+    /// [`COLUMNS`] values for each row of each run.
+    values: Vec<f64>,
 }
 
-impl Left<'_> {
-    fn nrows(self) -> usize {
-        match self {
-            Self::Plain(matrix) => matrix.nrows(),
-            Self::Transposed(matrix) => matrix.ncols(),
+impl Right {
+    /// Makes room for factors of at most `rows` × `columns`, with up to `runs` runs of rows in each group of columns.
+    pub(crate) fn new(rows: usize, columns: usize, runs: usize) -> Self {
+        let groups = columns.div_ceil(COLUMNS);
+        Self {
+            columns: 0,
+            runs: Vec::with_capacity(groups * runs),
+            ends: Vec::with_capacity(groups),
+            values: Vec::with_capacity(groups * COLUMNS * rows),
         }
     }
 
-    /// Copies the rows `rows` into `strip`, [`ROWS`] entries for each column; what a short strip lacks is left as it is.
-    fn copy_rows_to(self, rows: Range<usize>, strip: &mut [f64]) {
-        match self {
-            Self::Plain(matrix) => {
-                let columns = matrix.as_slice().chunks_exact(matrix.nrows());
-                for (entries, column) in strip.chunks_exact_mut(ROWS).zip(columns) {
-                    copy_rows(&column[rows.clone()], &mut entries[..rows.len()]);
+    /// Packs a full matrix (k × c).
+    pub(crate) fn pack(&mut self, matrix: &DMatrix<f64>) {
+        let rows = matrix.nrows();
+        self.pack_runs(matrix, |_, runs| runs.push(0..rows));
+    }
+
+    /// Packs a square matrix whose entries farther than `half_bandwidth` from the diagonal are zero, whatever they hold.
+    pub(crate) fn pack_band(&mut self, matrix: &DMatrix<f64>, half_bandwidth: usize) {
+        let rows = matrix.nrows();
+        self.clear(matrix.ncols());
+        for columns in groups(matrix.ncols()) {
+            let run = columns.start.saturating_sub(half_bandwidth)..(columns.end + half_bandwidth).min(rows);
+            for row in run.clone() {
+                self.values.extend((columns.start..columns.start + COLUMNS).map(|column| {
+                    let inside = column < columns.end && column.abs_diff(row) <= half_bandwidth;
+                    if inside { matrix[(row, column)] } else { 0.0 }
+                }));
+            }
+            self.runs.push(run);
+            self.ends.push(self.runs.len());
+        }
+    }
+
+    /// Packs a matrix (k × c) whose entries are zero outside the runs of rows, increasing, that `of_group` adds for some columns.
+    pub(crate) fn pack_runs(
+        &mut self,
+        matrix: &DMatrix<f64>,
+        of_group: impl Fn(Range<usize>, &mut Vec<Range<usize>>),
+    ) {
+        let rows = matrix.nrows();
+        self.clear(matrix.ncols());
+        for columns in groups(matrix.ncols()) {
+            let first_run = self.runs.len();
+            of_group(columns.clone(), &mut self.runs);
+            let of_column = |column: usize| &matrix.as_slice()[column * rows..(column + 1) * rows];
+            for run in &self.runs[first_run..] {
+                let first_value = self.values.len();
+                self.values.resize(first_value + COLUMNS * run.len(), 0.0);
+                for (place, column) in columns.clone().enumerate() {
+                    let values = self.values[first_value + place..].iter_mut().step_by(COLUMNS);
+                    for (value, entry) in values.zip(&of_column(column)[run.clone()]) {
+                        *value = *entry;
+                    }
                 }
             }
-            Self::Transposed(matrix) => {
-                let rows_of_left = matrix.as_slice().chunks_exact(matrix.nrows()).skip(rows.start).take(rows.len());
-                for (place, row) in rows_of_left.enumerate() {
-                    for (entries, value) in strip.chunks_exact_mut(ROWS).zip(row) {
-                        entries[place] = *value;
+            self.ends.push(self.runs.len());
+        }
+    }
+
+    fn clear(&mut self, columns: usize) {
+        self.columns = columns;
+        self.runs.clear();
+        self.ends.clear();
+        self.values.clear();
+    }
+}
+
+/// Returns the columns of each group.
+fn groups(columns: usize) -> impl Iterator<Item = Range<usize>> {
+    (0..columns).step_by(COLUMNS).map(move |first| first..(first + COLUMNS).min(columns))
+}
+
+/// The left factor (m × k): columns one after the other, `stride` entries apart.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Left<'m> {
+    entries: &'m [f64],
+    rows: usize,
+    stride: usize,
+}
+
+impl<'m> Left<'m> {
+    pub(crate) fn new(matrix: &'m DMatrix<f64>) -> Self {
+        Self { entries: matrix.as_slice(), rows: matrix.nrows(), stride: matrix.nrows() }
+    }
+}
+
+/// Which entries of a product are wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Extent {
+    /// All of them.
+    Full,
+    /// Those on and below the diagonal; some above it are written too, the others stay as they are.
+    Lower,
+    /// Those not farther from the diagonal than this; the others are zero, because both factors have a band.
+    Band(usize),
+}
+
+impl Extent {
+    /// Tells whether there is something to sum for a block.
+    fn meets(self, rows: &Range<usize>, columns: &Range<usize>) -> bool {
+        match self {
+            Self::Full => true,
+            Self::Lower => rows.end > columns.start,
+            Self::Band(half) => rows.end + half > columns.start && columns.end + half > rows.start,
+        }
+    }
+}
+
+/// What becomes of a product: `Z + factor · X Y`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sum<'m> {
+    pub(crate) factor: f64,
+    /// `Z`, of the rows and columns of the target; nothing for zero.
+    pub(crate) start: Option<&'m DMatrix<f64>>,
+}
+
+impl Sum<'_> {
+    /// The product as it is.
+    pub(crate) const PLAIN: Self = Self::scaled(1.0);
+
+    /// The product times a number.
+    pub(crate) const fn scaled(factor: f64) -> Self {
+        Self { factor, start: None }
+    }
+}
+
+/// Multiplies with the best instructions that the processor has.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Multiplier(Arch);
+
+impl Multiplier {
+    pub(crate) fn new() -> Self {
+        Self(Arch::new())
+    }
+
+    /// Writes the product of `left` (m × k) and `right` (k × c) into the first rows of the first columns of `out`.
+    pub(crate) fn multiply_to(
+        self,
+        left: Left<'_>,
+        right: &Right,
+        extent: Extent,
+        sum: Sum<'_>,
+        out: &mut DMatrix<f64>,
+    ) {
+        let out_stride = out.nrows();
+        debug_assert!(out_stride >= left.rows && out.ncols() >= right.columns);
+        self.0.dispatch(Product { left, right, extent, sum, out: out.as_mut_slice(), out_stride });
+    }
+}
+
+struct Product<'m> {
+    left: Left<'m>,
+    right: &'m Right,
+    extent: Extent,
+    sum: Sum<'m>,
+    out: &'m mut [f64],
+    out_stride: usize,
+}
+
+impl WithSimd for Product<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let (rows, lanes) = (self.left.rows, S::F64_LANES);
+        if rows < lanes {
+            for row in 0..rows {
+                self.strip::<pulp::Scalar, 1>(pulp::Scalar, row);
+            }
+            return;
+        }
+        // sixteen registers hold three times four sums beside what they are made of
+        let most = if lanes > 4 { MOST_REGISTERS } else { MOST_REGISTERS - 1 };
+        let mut done = 0;
+        while done < rows {
+            // the last strip is moved up until it is full: what is summed twice has the same bits
+            let wanted = (rows - done).div_ceil(lanes).min(most);
+            let registers = wanted.min(rows / lanes);
+            let first = done.min(rows - registers * lanes);
+            match registers {
+                1 => self.strip::<S, 1>(simd, first),
+                2 => self.strip::<S, 2>(simd, first),
+                3 => self.strip::<S, 3>(simd, first),
+                _ => self.strip::<S, MOST_REGISTERS>(simd, first),
+            }
+            done = first + registers * lanes;
+        }
+    }
+}
+
+impl Product<'_> {
+    /// Writes `R` registers of rows from row `first` on.
+    #[inline(always)]
+    fn strip<S: Simd, const R: usize>(&mut self, simd: S, first: usize) {
+        let Right { columns, runs, ends, values } = self.right;
+        let rows = first..first + R * S::F64_LANES;
+        let (mut start, mut values) = (0, values.as_slice());
+        for (columns, end) in groups(*columns).zip(ends) {
+            let len: usize = runs[start..*end].iter().map(|run| COLUMNS * run.len()).sum();
+            let (of_group, rest) = values.split_at(len);
+            values = rest;
+            if self.extent.meets(&rows, &columns) {
+                let sums = self.left.sums::<S, R>(simd, first, &runs[start..*end], of_group);
+                self.store(simd, rows.clone(), columns, sums);
+            } else if matches!(self.extent, Extent::Band(_)) {
+                for column in columns {
+                    let entries = column * self.out_stride + rows.start..column * self.out_stride + rows.end;
+                    self.out[entries].fill(0.0);
+                }
+            }
+            start = *end;
+        }
+    }
+
+    /// Writes a block of the product.
+    #[inline(always)]
+    fn store<S: Simd, const R: usize>(
+        &mut self,
+        simd: S,
+        rows: Range<usize>,
+        columns: Range<usize>,
+        sums: [[S::f64s; R]; COLUMNS],
+    ) {
+        for (column, sums) in columns.zip(sums) {
+            let entries = column * self.out_stride + rows.start..column * self.out_stride + rows.end;
+            let (out, _) = S::as_mut_simd_f64s(&mut self.out[entries]);
+            let factor = simd.splat_f64s(self.sum.factor);
+            match self.sum.start {
+                None => {
+                    for (out, sum) in out.iter_mut().zip(sums) {
+                        *out = simd.mul_f64s(factor, sum);
+                    }
+                }
+                Some(matrix) => {
+                    let stride = matrix.nrows();
+                    let entries = column * stride + rows.start..column * stride + rows.end;
+                    let (start, _) = S::as_simd_f64s(&matrix.as_slice()[entries]);
+                    for ((out, sum), start) in out.iter_mut().zip(sums).zip(start) {
+                        *out = simd.mul_add_e_f64s(factor, sum, *start);
                     }
                 }
             }
@@ -54,59 +275,114 @@ impl Left<'_> {
     }
 }
 
-/// Scratch space of products, made once.
-#[derive(Debug, Clone)]
-pub(crate) struct Strip(Vec<f64>);
+impl Left<'_> {
+    /// Returns `R` registers of rows from row `first` on, times some columns of the right factor.
+    #[inline(always)]
+    fn sums<S: Simd, const R: usize>(
+        self,
+        simd: S,
+        first: usize,
+        runs: &[Range<usize>],
+        mut values: &[f64],
+    ) -> [[S::f64s; R]; COLUMNS] {
+        let mut sums = [[simd.splat_f64s(0.0); R]; COLUMNS];
+        for run in runs {
+            let (of_run, rest) = values.split_at(COLUMNS * run.len());
+            values = rest;
+            if run.is_empty() {
+                continue;
+            }
+            let columns = self.entries[run.start * self.stride + first..].chunks(self.stride);
+            for (column, factors) in columns.zip(of_run.as_chunks::<COLUMNS>().0) {
+                let (entries, _) = S::as_simd_f64s(&column[..R * S::F64_LANES]);
+                for (sums, factor) in sums.iter_mut().zip(factors) {
+                    let factor = simd.splat_f64s(*factor);
+                    for (sum, entry) in sums.iter_mut().zip(entries) {
+                        *sum = simd.mul_add_e_f64s(*entry, factor, *sum);
+                    }
+                }
+            }
+        }
+        sums
+    }
+}
 
-impl Strip {
-    /// Makes room for left factors of at most `columns` columns.
-    pub(crate) fn new(columns: usize) -> Self {
-        Self(vec![0.0; ROWS * columns])
+/// Rows and columns that are transposed together, in registers.
+const TILE: usize = 8;
+
+type Tile = [[f64; TILE]; TILE];
+
+/// Reads a tile of a column-major matrix at an entry, column by column.
+#[inline(always)]
+fn tile(entries: &[f64], stride: usize, row: usize, column: usize) -> Option<Tile> {
+    let mut tile = [[0.0; TILE]; TILE];
+    for (place, of_column) in tile.iter_mut().enumerate() {
+        *of_column = *entries.get((column + place) * stride + row..)?.first_chunk()?;
+    }
+    Some(tile)
+}
+
+/// Writes the transpose of a tile at an entry.
+#[inline(always)]
+fn write_transposed(tile: &Tile, entries: &mut [f64], stride: usize, row: usize, column: usize) {
+    for place in 0..TILE {
+        let flipped: [f64; TILE] = std::array::from_fn(|of_column| tile[of_column][place]);
+        let first = (column + place) * stride + row;
+        entries[first..first + TILE].copy_from_slice(&flipped);
+    }
+}
+
+impl Multiplier {
+    /// Writes the transpose of `matrix` (m × n) into `out` (n × m).
+    pub(crate) fn transpose_to(self, matrix: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+        self.0.dispatch(|| transpose(matrix, out));
     }
 
-    /// Writes `X Y` (m × c) into the first m rows of `out`, for `X` (m × k) and `Y` (k × c).
-    ///
-    /// `spans` says for some rows of `X` and a column of `Y` which of the k terms there are.
-    pub(crate) fn multiply_to(
-        &mut self,
-        left: Left<'_>,
-        right: &DMatrix<f64>,
-        spans: impl Fn(Range<usize>, usize) -> Spans,
-        out: &mut DMatrix<f64>,
-    ) {
-        let (rows, terms, stride) = (left.nrows(), right.nrows(), out.nrows());
-        for first in (0..rows).step_by(ROWS) {
-            let strip_rows = first..(first + ROWS).min(rows);
-            left.copy_rows_to(strip_rows.clone(), &mut self.0);
-            let columns = right.as_slice().chunks_exact(terms).zip(out.as_mut_slice().chunks_exact_mut(stride));
-            for (index, (column, out)) in columns.enumerate() {
-                let sums = sums_of_strip(&self.0, column, spans(strip_rows.clone(), index));
-                copy_rows(&sums[..strip_rows.len()], &mut out[strip_rows.clone()]);
+    /// Copies what is below the diagonal of a square matrix to the place above it.
+    pub(crate) fn mirror_lower_mut(self, matrix: &mut DMatrix<f64>) {
+        self.0.dispatch(|| mirror_lower(matrix));
+    }
+}
+
+#[inline(always)]
+fn transpose(matrix: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+    let (rows, columns) = matrix.shape();
+    let (from, to) = (matrix.as_slice(), out.as_mut_slice());
+    let (whole_rows, whole_columns) = (rows / TILE * TILE, columns / TILE * TILE);
+    for column in (0..whole_columns).step_by(TILE) {
+        for row in (0..whole_rows).step_by(TILE) {
+            if let Some(tile) = tile(from, rows, row, column) {
+                write_transposed(&tile, to, columns, column, row);
             }
+        }
+    }
+    for column in 0..columns {
+        let first = if column < whole_columns { whole_rows } else { 0 };
+        for row in first..rows {
+            to[row * columns + column] = from[column * rows + row];
         }
     }
 }
 
-/// Copies as many entries as there are, in registers where they fill a strip.
-fn copy_rows(from: &[f64], to: &mut [f64]) {
-    match (from.first_chunk::<ROWS>(), to.first_chunk_mut::<ROWS>()) {
-        (Some(from), Some(to)) => *to = *from,
-        _ => to.copy_from_slice(from),
-    }
-}
-
-/// Returns a strip of rows times a column.
-fn sums_of_strip(strip: &[f64], column: &[f64], spans: Spans) -> [f64; ROWS] {
-    let mut sums = [0.0; ROWS];
-    for span in spans {
-        let entries = strip[span.start * ROWS..span.end * ROWS].chunks_exact(ROWS);
-        for (entries, factor) in entries.zip(&column[span]) {
-            for (sum, entry) in sums.iter_mut().zip(entries) {
-                *sum += entry * factor;
+#[inline(always)]
+fn mirror_lower(matrix: &mut DMatrix<f64>) {
+    let n = matrix.nrows();
+    let entries = matrix.as_mut_slice();
+    let whole = n / TILE * TILE;
+    for column in (0..whole).step_by(TILE) {
+        for row in (column + TILE..whole).step_by(TILE) {
+            if let Some(tile) = tile(entries, n, row, column) {
+                write_transposed(&tile, entries, n, column, row);
             }
         }
     }
-    sums
+    // on the diagonal, and below the last whole tile
+    for row in 0..n {
+        let first = if row < whole { row / TILE * TILE } else { 0 };
+        for column in first..row {
+            entries[row * n + column] = entries[column * n + row];
+        }
+    }
 }
 
 #[cfg(test)]
@@ -117,34 +393,82 @@ mod tests {
         DMatrix::from_fn(rows, columns, |i, j| ((3 * i + 7 * j + 1) as f64).sin())
     }
 
+    fn packed(matrix: &DMatrix<f64>) -> Right {
+        let mut right = Right::new(matrix.nrows(), matrix.ncols(), 1);
+        right.pack(matrix);
+        right
+    }
+
     #[test]
     fn product_is_that_of_nalgebra() {
-        // fewer rows than a strip, exactly one, and some more
-        for rows in [3, ROWS, 2 * ROWS + 5] {
+        // less than a register of rows, then strips of every length, full and moved up
+        for rows in 1..80 {
             let (left, right) = (matrix(rows, 21), matrix(21, 9));
-            let expected = &left * &right;
-            let (mut strip, mut out) = (Strip::new(21), DMatrix::repeat(rows + 2, 9, 7.0));
-            strip.multiply_to(Left::Plain(&left), &right, |_, _| [0..4, 4..4, 4..21], &mut out);
-            assert!((out.rows(0, rows) - &expected).amax() < 1e-14, "{rows} rows");
-            assert!(out.rows(rows, 2).iter().all(|entry| *entry == 7.0), "{rows} rows");
-            strip.multiply_to(Left::Transposed(&left.transpose()), &right, |_, _| [0..21, 0..0, 0..0], &mut out);
-            assert!((out.rows(0, rows) - &expected).amax() < 1e-14, "{rows} rows, transposed");
+            let mut out = DMatrix::repeat(rows + 2, 10, 7.0);
+            Multiplier::new().multiply_to(Left::new(&left), &packed(&right), Extent::Full, Sum::scaled(0.5), &mut out);
+            let expected = 0.5 * &left * &right;
+            assert!((out.view((0, 0), (rows, 9)) - expected).amax() < 1e-14, "{rows} rows");
+            assert!(out.rows(rows, 2).iter().chain(out.column(9).iter()).all(|entry| *entry == 7.0), "{rows} rows");
         }
     }
 
     #[test]
-    fn terms_outside_the_spans_are_left_out() {
-        let (left, right) = (matrix(20, 20), matrix(20, 4));
-        let (mut strip, mut out) = (Strip::new(20), DMatrix::repeat(20, 4, 7.0));
-        let spans =
-            |rows: Range<usize>, column| if rows.start == 0 { NOTHING } else { [column..column + 2, 9..9, 19..20] };
-        strip.multiply_to(Left::Plain(&left), &right, spans, &mut out);
-        for column in 0..4 {
-            assert!(out.column(column).rows(0, ROWS).iter().all(|entry| *entry == 0.0));
-            for row in ROWS..20 {
-                let expected: f64 = [column, column + 1, 19].map(|k| left[(row, k)] * right[(k, column)]).iter().sum();
-                assert!((out[(row, column)] - expected).abs() < 1e-15);
-            }
+    fn product_is_added_to_a_matrix() {
+        let (left, right, start) = (matrix(37, 5), matrix(5, 37), matrix(37, 37));
+        let mut out = DMatrix::zeros(37, 37);
+        let sum = Sum { factor: -2.0, start: Some(&start) };
+        Multiplier::new().multiply_to(Left::new(&left), &packed(&right), Extent::Full, sum, &mut out);
+        assert!((out - (start - 2.0 * left * right)).amax() < 1e-14);
+    }
+
+    #[test]
+    fn entries_outside_the_runs_are_left_out() {
+        let (left, full) = (matrix(20, 20), matrix(20, 6));
+        let mut right = Right::new(20, 6, 2);
+        right.pack_runs(&full, |columns, runs| runs.extend([columns.start..columns.start + 2, 19..20]));
+        let cut = DMatrix::from_fn(20, 6, |row, column| {
+            let first = column / COLUMNS * COLUMNS;
+            if (first..first + 2).contains(&row) || row == 19 { full[(row, column)] } else { 0.0 }
+        });
+        let mut out = DMatrix::zeros(20, 6);
+        Multiplier::new().multiply_to(Left::new(&left), &right, Extent::Full, Sum::PLAIN, &mut out);
+        assert!((out - left * cut).amax() < 1e-14);
+    }
+
+    #[test]
+    fn product_of_bands_is_that_of_nalgebra_and_zero_outside() {
+        let band = |half: usize| {
+            DMatrix::from_fn(45, 45, move |i, j| if i.abs_diff(j) <= half { ((3 * i + 7 * j) as f64).sin() } else { 0.0 })
+        };
+        let (left, full) = (band(4), matrix(45, 45));
+        let mut right = Right::new(45, 45, 1);
+        right.pack_band(&full, 2); // what is outside the band does not count
+        let cut = DMatrix::from_fn(45, 45, |i, j| if i.abs_diff(j) <= 2 { full[(i, j)] } else { 0.0 });
+        let mut out = DMatrix::repeat(45, 45, 7.0);
+        Multiplier::new().multiply_to(Left::new(&left), &right, Extent::Band(6), Sum::PLAIN, &mut out);
+        assert!((out - left * cut).amax() < 1e-14);
+    }
+
+    #[test]
+    fn lower_half_and_its_mirror_make_a_symmetric_product() {
+        for n in [3, 16, 41] {
+            let factor = matrix(n, 7);
+            let mut out = DMatrix::zeros(n, n);
+            let right = packed(&factor.transpose());
+            Multiplier::new().multiply_to(Left::new(&factor), &right, Extent::Lower, Sum::PLAIN, &mut out);
+            Multiplier::new().mirror_lower_mut(&mut out);
+            assert!((&out - &factor * factor.transpose()).amax() < 1e-14, "{n}");
+            assert_eq!(out, out.transpose(), "{n}");
+        }
+    }
+
+    #[test]
+    fn transpose_is_that_of_nalgebra() {
+        for (rows, columns) in [(19, 42), (16, 8), (5, 30)] {
+            let wide = matrix(rows, columns);
+            let mut out = DMatrix::zeros(columns, rows);
+            Multiplier::new().transpose_to(&wide, &mut out);
+            assert_eq!(out, wide.transpose());
         }
     }
 }
