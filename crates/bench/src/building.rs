@@ -4,7 +4,6 @@ use nalgebra::DMatrix;
 use spandrel_filter::{ExtendedKalmanFilter, FilterError, FilterSettings, Frame, NoiseModel, NoiseTarget};
 use spandrel_structure::{Structure, StructureModel};
 use std::error::Error;
-use std::fmt::Write;
 use std::path::Path;
 
 /// Mass of a floor (kg) and stiffness of a storey (N/m): the fastest mode turns by 0.8 rad a step.
@@ -41,7 +40,19 @@ impl Building {
     /// # Errors
     /// When the structure file is not valid, or its filter.
     pub fn new(storeys: usize, frames: usize) -> Result<Self, Box<dyn Error>> {
-        let structure = Structure::parse(&text(storeys), Path::new("shear-building.toml"))?;
+        Self::parse(storeys, frames, &(text(storeys) + &parameters(storeys)))
+    }
+
+    /// Makes the same building with nothing to identify: 2N states, a linear filter.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn linear(storeys: usize, frames: usize) -> Result<Self, Box<dyn Error>> {
+        Self::parse(storeys, frames, &text(storeys))
+    }
+
+    fn parse(storeys: usize, frames: usize, text: &str) -> Result<Self, Box<dyn Error>> {
+        let structure = Structure::parse(text, Path::new("shear-building.toml"))?;
         let mut settings = structure.filter_settings()?;
         // what is measured is a filter at work, not the few minutes before
         settings.noise_settings.training_steps = 50;
@@ -107,7 +118,19 @@ fn sensed(storeys: usize) -> impl Iterator<Item = usize> {
     (4..storeys).step_by(5)
 }
 
-/// Returns the structure file.
+/// Returns the parameters of the structure file: every storey, and the damping.
+fn parameters(storeys: usize) -> String {
+    let storey = |storey| {
+        format!(
+            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\nof = [\"storey-{storey}\"]\nstd = 0.1\n"
+        )
+    };
+    let damping =
+        |name| format!("[[parameter]]\nname = \"{name}\"\nscales = \"damping-{name}\"\nstd = 0.1\n");
+    (1..=storeys).map(storey).chain(["alpha", "beta"].map(damping)).collect()
+}
+
+/// Returns the structure file but for its parameters.
 fn text(storeys: usize) -> String {
     let mut text = format!(
         r#"
@@ -131,23 +154,13 @@ fn text(storeys: usize) -> String {
         std = {GROUND_STD}
         "#
     );
-    // writing into a string cannot fail
-    for storey in 1..=storeys {
-        let _ = write!(
-            text,
-            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\nof = [\"storey-{storey}\"]\nstd = 0.1\n"
-        );
-    }
-    for damping in ["alpha", "beta"] {
-        let _ = write!(text, "[[parameter]]\nname = \"{damping}\"\nscales = \"damping-{damping}\"\nstd = 0.1\n");
-    }
     text.push_str("[[node]]\nname = \"node\"\n");
-    for floor in sensed(storeys).map(|dof| dof + 1) {
-        let _ = write!(
-            text,
+    text.extend(sensed(storeys).map(|dof| {
+        let floor = dof + 1;
+        format!(
             "[[node.channel]]\nname = \"floor-{floor}\"\nquantity = \"absolute-acceleration\"\ndof = \"floor-{floor}\"\n\
              unit = \"m/s2\"\nnoise-std = {SENSOR_STD}\nnoise-group = \"floors\"\nadapt-noise = true\n"
-        );
-    }
+        )
+    }));
     text
 }

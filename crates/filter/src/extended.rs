@@ -221,6 +221,9 @@ struct Workspace {
     h_p: DMatrix<f64>,
     /// P Hᵀ (n × N_0)
     p_ht: DMatrix<f64>,
+    /// Hᵀ (n × N_0), where the model hands it out
+    h_t: DMatrix<f64>,
+    by_h_t: Right,
     /// H B (N_0 × N_f)
     h_b: DMatrix<f64>,
     /// λ B Σ_f (n × N_f)
@@ -282,6 +285,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             input_matrix: DMatrix::zeros(n, inputs),
             h_p: DMatrix::zeros(channels, n),
             p_ht: DMatrix::zeros(n, channels),
+            h_t: DMatrix::zeros(n, channels),
+            by_h_t: Right::new(n, channels, n.div_ceil(2)),
             h_b,
             input_spread: DMatrix::zeros(n, inputs),
             cross: DMatrix::zeros(n, inputs),
@@ -446,6 +451,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// Returns `S` of the last step (N_0 × N_0); rows of missing channels are those of the identity.
     pub fn innovation_covariance(&self) -> &DMatrix<f64> {
         &self.work.update.innovation_covariance
+    }
+
+    /// Returns how far from their diagonals the blocks of the last transition have entries, where they have bands: what a step
+    /// costs follows from it.
+    pub fn transition_half_bandwidth(&self) -> Option<usize> {
+        self.work.proportional.as_ref().map(proportional::Transition::half_bandwidth)
     }
 
     /// Returns the number of frames taken.
@@ -667,8 +678,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         work.swapped_pair.rows_mut(0, inputs).tr_copy_from(&work.input_matrix);
         work.swapped_pair.rows_mut(inputs, inputs).tr_copy_from(&work.cross);
         work.by_pair.pack(&work.swapped_pair);
-        let sum = Sum { factor: settings.fading.value(), start: Some(&work.covariance) };
-        work.multiplier.multiply_to(Left::new(&work.pair), &work.by_pair, Extent::Lower, sum, &mut work.corrected);
+        work.pair *= settings.fading.value();
+        let sum = Sum { factor: 1.0, start: Some(&work.covariance) };
+        work.multiplier.multiply_to(Left::new(&work.pair), &work.by_pair, Extent::LOWER, sum, &mut work.corrected);
         std::mem::swap(&mut work.covariance, &mut work.corrected);
         work.multiplier.mirror_lower_mut(&mut work.covariance);
     }
@@ -681,8 +693,15 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         for (innovation, datum) in work.update.innovation.iter_mut().zip(frame.observations) {
             *innovation = datum - *innovation; // NaN where the channel is missing
         }
-        model.observation_jacobian_mul(&work.covariance, &mut work.h_p);
-        work.h_p.transpose_to(&mut work.p_ht); // P Hᵀ, because P is symmetric
+        if model.observation_matrix(&mut work.h_t) {
+            work.by_h_t.pack_sparse(&work.h_t);
+            let left = Left::new(&work.covariance);
+            work.multiplier.multiply_to(left, &work.by_h_t, Extent::Full, Sum::PLAIN, &mut work.p_ht);
+            work.h_p.tr_copy_from(&work.p_ht); // H P, because P is symmetric
+        } else {
+            model.observation_jacobian_mul(&work.covariance, &mut work.h_p);
+            work.p_ht.tr_copy_from(&work.h_p);
+        }
         model.observation_jacobian_mul(&work.p_ht, &mut work.update.innovation_covariance); // S₀
         symmetrise_mut(&mut work.update.innovation_covariance);
         if work.constant.is_none() {

@@ -47,19 +47,45 @@ impl Right {
 
     /// Packs a square matrix whose entries farther than `half_bandwidth` from the diagonal are zero, whatever they hold.
     pub(crate) fn pack_band(&mut self, matrix: &DMatrix<f64>, half_bandwidth: usize) {
-        let rows = matrix.nrows();
-        self.clear(matrix.ncols());
-        for columns in groups(matrix.ncols()) {
-            let run = columns.start.saturating_sub(half_bandwidth)..(columns.end + half_bandwidth).min(rows);
-            for row in run.clone() {
-                self.values.extend((columns.start..columns.start + COLUMNS).map(|column| {
-                    let inside = column < columns.end && column.abs_diff(row) <= half_bandwidth;
-                    if inside { matrix[(row, column)] } else { 0.0 }
-                }));
+        self.pack_bands([(matrix, 1.0)], half_bandwidth);
+    }
+
+    /// Does so for several of them, one below the other, each times a number.
+    pub(crate) fn pack_bands<const N: usize>(&mut self, matrices: [(&DMatrix<f64>, f64); N], half_bandwidth: usize) {
+        let n = matrices.first().map_or(0, |(matrix, _)| matrix.nrows());
+        self.clear(n);
+        for columns in groups(n) {
+            let run = columns.start.saturating_sub(half_bandwidth)..(columns.end + half_bandwidth).min(n);
+            for (place, (matrix, factor)) in matrices.iter().enumerate() {
+                let first_value = self.values.len();
+                self.values.resize(first_value + COLUMNS * run.len(), 0.0);
+                for (lane, column) in columns.clone().enumerate() {
+                    let start = column.saturating_sub(half_bandwidth);
+                    let entries = &matrix.as_slice()[column * n + start..column * n + (column + half_bandwidth + 1).min(n)];
+                    let values = self.values[first_value + COLUMNS * (start - run.start) + lane..].iter_mut();
+                    for (value, entry) in values.step_by(COLUMNS).zip(entries) {
+                        *value = factor * entry;
+                    }
+                }
+                self.runs.push(place * n + run.start..place * n + run.end);
             }
-            self.runs.push(run);
             self.ends.push(self.runs.len());
         }
+    }
+
+    /// Packs a matrix (k × c) without the rows that are zero throughout a group of columns.
+    pub(crate) fn pack_sparse(&mut self, matrix: &DMatrix<f64>) {
+        self.pack_runs(matrix, |columns, runs| {
+            let first_run = runs.len();
+            for row in 0..matrix.nrows() {
+                if columns.clone().any(|column| matrix[(row, column)] != 0.0) {
+                    match runs[first_run..].last_mut() {
+                        Some(run) if run.end == row => run.end += 1,
+                        _ => runs.push(row..row + 1),
+                    }
+                }
+            }
+        });
     }
 
     /// Packs a matrix (k × c) whose entries are zero outside the runs of rows, increasing, that `of_group` adds for some columns.
@@ -101,17 +127,26 @@ fn groups(columns: usize) -> impl Iterator<Item = Range<usize>> {
     (0..columns).step_by(COLUMNS).map(move |first| first..(first + COLUMNS).min(columns))
 }
 
-/// The left factor (m × k): columns one after the other, `stride` entries apart.
+/// The left factor (m × k): columns one after the other, in one or two pieces.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Left<'m> {
     entries: &'m [f64],
     rows: usize,
-    stride: usize,
+    /// Where the second piece begins (column), and its entries.
+    second: (usize, &'m [f64]),
 }
 
 impl<'m> Left<'m> {
     pub(crate) fn new(matrix: &'m DMatrix<f64>) -> Self {
-        Self { entries: matrix.as_slice(), rows: matrix.nrows(), stride: matrix.nrows() }
+        Self { entries: matrix.as_slice(), rows: matrix.nrows(), second: (usize::MAX, &[]) }
+    }
+
+    /// Joins the columns `columns` of one matrix and all of another, with as many rows.
+    pub(crate) fn joined(first: &'m DMatrix<f64>, columns: Range<usize>, second: &'m DMatrix<f64>) -> Self {
+        let rows = first.nrows();
+        debug_assert_eq!(second.nrows(), rows);
+        let entries = &first.as_slice()[columns.start * rows..columns.end * rows];
+        Self { entries, rows, second: (columns.len(), second.as_slice()) }
     }
 }
 
@@ -120,24 +155,31 @@ impl<'m> Left<'m> {
 pub(crate) enum Extent {
     /// All of them.
     Full,
-    /// Those on and below the diagonal; some above it are written too, the others stay as they are.
-    Lower,
+    /// Those on and below a line parallel to the diagonal, in row `column + from`; some above it are written too, the others stay
+    /// as they are.
+    Lower {
+        /// 0 for the diagonal itself.
+        from: isize,
+    },
     /// Those not farther from the diagonal than this; the others are zero, because both factors have a band.
     Band(usize),
 }
 
 impl Extent {
+    /// The diagonal and what is below it.
+    pub(crate) const LOWER: Self = Self::Lower { from: 0 };
+
     /// Tells whether there is something to sum for a block.
     fn meets(self, rows: &Range<usize>, columns: &Range<usize>) -> bool {
         match self {
             Self::Full => true,
-            Self::Lower => rows.end > columns.start,
+            Self::Lower { from } => rows.end as isize > columns.start as isize + from,
             Self::Band(half) => rows.end + half > columns.start && columns.end + half > rows.start,
         }
     }
 }
 
-/// What becomes of a product: `Z + factor · X Y`.
+/// What becomes of a product: `factor · (Z + X Y)`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sum<'m> {
     pub(crate) factor: f64,
@@ -173,9 +215,23 @@ impl Multiplier {
         sum: Sum<'_>,
         out: &mut DMatrix<f64>,
     ) {
+        self.multiply_to_columns(left, right, extent, sum, 0, out);
+    }
+
+    /// Does so from column `first` of `out` on; `extent` counts columns from there.
+    pub(crate) fn multiply_to_columns(
+        self,
+        left: Left<'_>,
+        right: &Right,
+        extent: Extent,
+        sum: Sum<'_>,
+        first: usize,
+        out: &mut DMatrix<f64>,
+    ) {
         let out_stride = out.nrows();
-        debug_assert!(out_stride >= left.rows && out.ncols() >= right.columns);
-        self.0.dispatch(Product { left, right, extent, sum, out: out.as_mut_slice(), out_stride });
+        debug_assert!(out_stride >= left.rows && out.ncols() >= first + right.columns);
+        let out = &mut out.as_mut_slice()[first * out_stride..];
+        self.0.dispatch(Product { left, right, extent, sum, out, out_stride });
     }
 }
 
@@ -267,7 +323,7 @@ impl Product<'_> {
                     let entries = column * stride + rows.start..column * stride + rows.end;
                     let (start, _) = S::as_simd_f64s(&matrix.as_slice()[entries]);
                     for ((out, sum), start) in out.iter_mut().zip(sums).zip(start) {
-                        *out = simd.mul_add_e_f64s(factor, sum, *start);
+                        *out = simd.mul_f64s(factor, simd.add_f64s(*start, sum));
                     }
                 }
             }
@@ -292,7 +348,11 @@ impl Left<'_> {
             if run.is_empty() {
                 continue;
             }
-            let columns = self.entries[run.start * self.stride + first..].chunks(self.stride);
+            let (entries, start) = match run.start.checked_sub(self.second.0) {
+                Some(start) => (self.second.1, start),
+                None => (self.entries, run.start),
+            };
+            let columns = entries[start * self.rows + first..].chunks(self.rows);
             for (column, factors) in columns.zip(of_run.as_chunks::<COLUMNS>().0) {
                 let (entries, _) = S::as_simd_f64s(&column[..R * S::F64_LANES]);
                 for (sums, factor) in sums.iter_mut().zip(factors) {
@@ -418,7 +478,7 @@ mod tests {
         let mut out = DMatrix::zeros(37, 37);
         let sum = Sum { factor: -2.0, start: Some(&start) };
         Multiplier::new().multiply_to(Left::new(&left), &packed(&right), Extent::Full, sum, &mut out);
-        assert!((out - (start - 2.0 * left * right)).amax() < 1e-14);
+        assert!((out + 2.0 * (start + left * right)).amax() < 1e-14);
     }
 
     #[test]
@@ -436,6 +496,17 @@ mod tests {
     }
 
     #[test]
+    fn zeros_of_a_sparse_factor_change_nothing() {
+        let left = matrix(20, 20);
+        let sparse = DMatrix::from_fn(20, 6, |row, column| if (row * column) % 5 == 1 { 1.0 + row as f64 } else { 0.0 });
+        let mut right = Right::new(20, 6, 10);
+        right.pack_sparse(&sparse);
+        let mut out = DMatrix::zeros(20, 6);
+        Multiplier::new().multiply_to(Left::new(&left), &right, Extent::Full, Sum::PLAIN, &mut out);
+        assert!((out - left * sparse).amax() < 1e-13);
+    }
+
+    #[test]
     fn product_of_bands_is_that_of_nalgebra_and_zero_outside() {
         let band = |half: usize| {
             DMatrix::from_fn(45, 45, move |i, j| if i.abs_diff(j) <= half { ((3 * i + 7 * j) as f64).sin() } else { 0.0 })
@@ -450,12 +521,25 @@ mod tests {
     }
 
     #[test]
+    fn joined_pieces_are_multiplied_as_one_matrix_into_the_columns_asked_for() {
+        let (first, second, by_first, by_second) = (matrix(21, 9), matrix(21, 6), matrix(6, 6), matrix(6, 6).transpose());
+        let mut right = Right::new(12, 6, 2);
+        right.pack_bands([(&by_first, 2.0), (&by_second, 1.0)], 6);
+        let left = Left::joined(&first, 3..9, &second);
+        let mut out = DMatrix::repeat(21, 8, 7.0);
+        Multiplier::new().multiply_to_columns(left, &right, Extent::Full, Sum::PLAIN, 2, &mut out);
+        let expected = 2.0 * first.columns(3, 6) * by_first + second * by_second;
+        assert!((out.columns(2, 6) - expected).amax() < 1e-13);
+        assert!(out.columns(0, 2).iter().all(|entry| *entry == 7.0));
+    }
+
+    #[test]
     fn lower_half_and_its_mirror_make_a_symmetric_product() {
         for n in [3, 16, 41] {
             let factor = matrix(n, 7);
             let mut out = DMatrix::zeros(n, n);
             let right = packed(&factor.transpose());
-            Multiplier::new().multiply_to(Left::new(&factor), &right, Extent::Lower, Sum::PLAIN, &mut out);
+            Multiplier::new().multiply_to(Left::new(&factor), &right, Extent::LOWER, Sum::PLAIN, &mut out);
             Multiplier::new().mirror_lower_mut(&mut out);
             assert!((&out - &factor * factor.transpose()).amax() < 1e-14, "{n}");
             assert_eq!(out, out.transpose(), "{n}");

@@ -17,6 +17,10 @@
 //! *SIAM J. Comput.* 2, 60). A step too long for one series is halved to `h` often enough, and doubled again by
 //! `Φ(2t) = Φ(t)²`, `Ψ(2t) = Ψ(t) + Φ(t) Ψ(t)`. Where `G` has a narrow band, as of a shear building, so have its powers.
 //!
+//! Within one series, and with a narrow band, the step is taken through the accelerations that displacements and parameters
+//! cause, `ρ = (−G x + W θ) h²`, which are few terms each: `x ← x + h q̂ ẋ + ŝ ρ` and `ẋ ← (I − Gs − (α + βG) q) ẋ + q̂ ρ/h` are two
+//! bands a row in place of those of `[Φ, ΨW]`.
+//!
 //! All polynomials are kept transposed: they are right factors of products with the symmetric covariance.
 
 use crate::dense::add_scaled_mut;
@@ -95,7 +99,38 @@ pub(crate) struct Transition {
     by_z: Right,
     by_square: Right,
     by_transition: Right,
+    /// the step is taken through the accelerations
+    through_accelerations: bool,
+    accelerations: Accelerations,
     multiplier: Multiplier,
+}
+
+/// What a step through the accelerations needs.
+#[derive(Debug, Clone)]
+struct Accelerations {
+    /// `[Z, 0, h² W]ᵀ` (n × N_d)
+    transposed: DMatrix<f64>,
+    by_state: Right,
+    /// `[h q̂, ŝ]ᵀ` and `[I − Gs − (α + βG) q, q̂/h]ᵀ` (2N_d × N_d)
+    by_motion: [Right; 2],
+    /// `Σ [Z, 0, h² W]ᵀ` (n × N_d)
+    half_way: DMatrix<f64>,
+    /// `[Φ, ΨW] Σ [Z, 0, h² W]ᵀ` (2N_d × N_d)
+    whole_way: DMatrix<f64>,
+}
+
+impl Accelerations {
+    fn new(free: usize, parameters: usize) -> Self {
+        let n = 2 * free + parameters;
+        let by_motion = || Right::new(2 * free, free, 2);
+        Self {
+            transposed: DMatrix::zeros(n, free),
+            by_state: Right::new(n, free, 1 + parameters.div_ceil(2)),
+            by_motion: [by_motion(), by_motion()],
+            half_way: DMatrix::zeros(n, free),
+            whole_way: DMatrix::zeros(2 * free, free),
+        }
+    }
 }
 
 impl Transition {
@@ -126,8 +161,15 @@ impl Transition {
             by_z: Right::new(free, free, 1),
             by_square: Right::new(free, free, 1),
             by_transition: Right::new(n, 2 * free, 2 + parameters.div_ceil(2)),
+            through_accelerations: false,
+            accelerations: Accelerations::new(free, parameters),
             multiplier: Multiplier::new(),
         }
+    }
+
+    /// Returns how far from the diagonal the polynomials of `G` have entries.
+    pub(crate) fn half_bandwidth(&self) -> usize {
+        self.half_bandwidth.min(self.impulse.nrows().saturating_sub(1))
     }
 
     /// Discretises a step of `step_s` (s); replaces `[g, B_y]` in `inputs` (n × (1 + N_f)) by `[Γ g + Γ₂ ramp, Γ B_y]`.
@@ -159,8 +201,58 @@ impl Transition {
             self.double(damping, slope);
         }
         self.integrate_inputs(damping, inputs, slope);
-        self.assemble(damping, form);
-        self.pack(form.reach);
+        self.through_accelerations = doublings == 0 && self.is_shorter_through_accelerations(form);
+        if self.through_accelerations {
+            self.pack_accelerations(damping, form);
+        } else {
+            self.assemble(damping, form);
+            self.pack(form.reach);
+        }
+    }
+
+    /// Tells which of the two ways has fewer terms.
+    fn is_shorter_through_accelerations(&self, form: &ProportionalForm<'_>) -> bool {
+        let free = self.impulse.nrows();
+        let band = (2 * self.half_bandwidth + 1).min(free);
+        let accelerations: usize = (2 * form.half_bandwidth + 1).min(free) * free
+            + form.reach.iter().map(ExactSizeIterator::len).sum::<usize>();
+        let spread = |reach: &Range<usize>| if reach.is_empty() { 0 } else { (reach.len() + band - 1).min(free) };
+        let by_theta: usize = form.reach.iter().map(spread).sum();
+        accelerations + 4 * band * free < 2 * (2 * band * free + by_theta)
+    }
+
+    /// Packs the factors of a step through the accelerations.
+    fn pack_accelerations(&mut self, [rest, slope_of_z]: [f64; 2], form: &ProportionalForm<'_>) {
+        let Self { substep_s: h, impulse, z_impulse, step, z_step, square: [of_velocity, _], .. } = self;
+        let Accelerations { transposed, by_state, by_motion: [of_x, of_v], .. } = &mut self.accelerations;
+        let (free, half_bandwidth) = (impulse.nrows(), self.half_bandwidth);
+        for column in 0..free {
+            let rows = around(column, form.half_bandwidth, free);
+            let z = &self.powers[0].as_slice()[column * free + rows.start..column * free + rows.end];
+            transposed.column_mut(column).as_mut_slice()[rows].copy_from_slice(z);
+        }
+        for (parameter, reach) in form.reach.iter().enumerate() {
+            for row in reach.clone() {
+                let by_theta = form.acceleration_by_theta[(row, parameter)];
+                transposed[(2 * free + parameter, row)] = *h * *h * by_theta;
+            }
+        }
+        by_state.pack_runs(transposed, |columns, runs| {
+            runs.push(near(&columns, form.half_bandwidth, free));
+            extend_by_reached(runs, 2 * free, form.reach, &columns);
+        });
+        for column in 0..free {
+            let rows = around(column, half_bandwidth, free);
+            let entries = column * free + rows.start..column * free + rows.end;
+            let of_q = impulse.as_slice()[entries.clone()].iter().zip(&z_impulse.as_slice()[entries.clone()]);
+            let of_q = of_q.zip(&z_step.as_slice()[entries.clone()]);
+            for (entry, ((q, z_q), z_s)) in of_velocity.as_mut_slice()[entries].iter_mut().zip(of_q) {
+                *entry = z_s + rest * q + slope_of_z * z_q;
+            }
+        }
+        add_to_diagonal(of_velocity, 1.0);
+        of_x.pack_bands([(impulse, *h), (step, 1.0)], half_bandwidth);
+        of_v.pack_bands([(of_velocity, 1.0), (impulse, 1.0 / *h)], half_bandwidth);
     }
 
     /// Writes `Z = −G h²` and its powers, transposed.
@@ -349,21 +441,10 @@ impl Transition {
             } else if columns.start >= free {
                 columns = columns.start - free..columns.end - free;
             }
-            let of_x = columns.start.saturating_sub(half_bandwidth)..(columns.end + half_bandwidth).min(free);
+            let of_x = near(&columns, half_bandwidth, free);
             runs.push(of_x.clone());
             runs.push(of_x.start + free..of_x.end + free);
-            let mut last = 0..0;
-            for (parameter, reach) in reach.iter().enumerate() {
-                if reach.start < of_x.end && reach.end > of_x.start && !reach.is_empty() {
-                    let row = 2 * free + parameter;
-                    if last.end != row {
-                        runs.extend((!last.is_empty()).then_some(last));
-                        last = row..row;
-                    }
-                    last.end = row + 1;
-                }
-            }
-            runs.extend((!last.is_empty()).then_some(last));
+            extend_by_reached(runs, 2 * free, reach, &of_x);
         });
     }
 
@@ -371,10 +452,16 @@ impl Transition {
     pub(crate) fn propagate_covariance_to(&mut self, covariance: &DMatrix<f64>, fading: f64, out: &mut DMatrix<f64>) {
         let Self { half_way, half_way_transposed, by_transition, multiplier, .. } = self;
         let (n, moving) = half_way.shape();
-        multiplier.multiply_to(Left::new(covariance), by_transition, Extent::Full, Sum::PLAIN, half_way);
-        multiplier.transpose_to(half_way, half_way_transposed);
-        let left = Left::new(half_way_transposed);
-        multiplier.multiply_to(left, by_transition, Extent::Lower, Sum::scaled(fading), out);
+        if self.through_accelerations {
+            self.accelerations.apply_to(covariance, Triangle::Both, 1.0, half_way, *multiplier);
+            multiplier.transpose_to(half_way, half_way_transposed);
+            self.accelerations.apply_to(half_way_transposed, Triangle::Lower, fading, out, *multiplier);
+        } else {
+            multiplier.multiply_to(Left::new(covariance), by_transition, Extent::Full, Sum::PLAIN, half_way);
+            multiplier.transpose_to(half_way, half_way_transposed);
+            let left = Left::new(half_way_transposed);
+            multiplier.multiply_to(left, by_transition, Extent::LOWER, Sum::scaled(fading), out);
+        }
         let columns = covariance.as_slice().chunks_exact(n).zip(out.as_mut_slice().chunks_exact_mut(n));
         for (column, (at_rest, out)) in columns.enumerate() {
             // the parameters with the motion, and among themselves
@@ -388,18 +475,66 @@ impl Transition {
 
     /// Replaces `X` (n × c) by `A_i X`.
     pub(crate) fn mul_mut(&mut self, x: &mut DMatrix<f64>) {
-        let (n, moving) = self.transposed.shape();
-        let free = moving / 2;
+        let moving = self.motion.len();
         for mut column in x.column_iter_mut() {
-            let x = column.as_slice();
-            let transition = self.transposed.as_slice().chunks_exact(n);
-            for (index, (entry, transition)) in self.motion.iter_mut().zip(transition).enumerate() {
-                let of_x = around(index % free, self.half_bandwidth, free);
-                let of_v = of_x.start + free..of_x.end + free;
-                *entry = [of_x, of_v, moving..n].map(|rows| dot(&transition[rows.clone()], &x[rows])).iter().sum();
-            }
+            self.advance(column.as_slice());
             column.rows_mut(0, moving).copy_from(&self.motion);
         }
+    }
+}
+
+impl Transition {
+    /// Writes the motion of `A_i x` for one column (n) into the scratch space.
+    fn advance(&mut self, x: &[f64]) {
+        let Self { motion, impulse, step, square: [of_velocity, _], .. } = self;
+        let (n, free, half_bandwidth, h) = (x.len(), impulse.nrows(), self.half_bandwidth, self.substep_s);
+        if !self.through_accelerations {
+            let transition = self.transposed.as_slice().chunks_exact(n);
+            for (index, (entry, transition)) in motion.iter_mut().zip(transition).enumerate() {
+                let of_x = around(index % free, half_bandwidth, free);
+                let of_v = of_x.start + free..of_x.end + free;
+                *entry =
+                    [of_x, of_v, 2 * free..n].map(|rows| dot(&transition[rows.clone()], &x[rows])).iter().sum();
+            }
+            return;
+        }
+        let [accelerations, _] = &mut self.column;
+        for (entry, by_state) in accelerations.iter_mut().zip(self.accelerations.transposed.as_slice().chunks_exact(n)) {
+            *entry = dot(by_state, x);
+        }
+        let velocities = &x[free..2 * free];
+        let times = |matrix: &DMatrix<f64>, row: usize, vector: &[f64]| {
+            let terms = around(row, half_bandwidth, free);
+            dot(&matrix.as_slice()[row * free + terms.start..row * free + terms.end], &vector[terms])
+        };
+        for row in 0..free {
+            let caused = accelerations.as_slice();
+            motion[row] = x[row] + h * times(impulse, row, velocities) + times(step, row, caused);
+            motion[free + row] = times(of_velocity, row, velocities) + times(impulse, row, caused) / h;
+        }
+    }
+}
+
+/// Which entries of a covariance are wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Triangle {
+    Both,
+    Lower,
+}
+
+impl Accelerations {
+    /// Writes `factor · X [Φ, ΨW]ᵀ` for `X` (m × n) into the first rows and columns of `out`.
+    fn apply_to(&mut self, x: &DMatrix<f64>, triangle: Triangle, factor: f64, out: &mut DMatrix<f64>, multiplier: Multiplier) {
+        let Self { by_state, by_motion: [of_x, of_v], half_way, whole_way, .. } = self;
+        let free = half_way.ncols() as isize;
+        let caused = if triangle == Triangle::Both { half_way } else { whole_way };
+        let extent = |from: isize| if triangle == Triangle::Both { Extent::Full } else { Extent::Lower { from } };
+        multiplier.multiply_to(Left::new(x), by_state, extent(-free), Sum::PLAIN, caused);
+        let free = caused.ncols();
+        let left = Left::joined(x, free..2 * free, caused);
+        let sum = Sum { factor, start: Some(x) };
+        multiplier.multiply_to_columns(left, of_x, extent(0), sum, 0, out);
+        multiplier.multiply_to_columns(left, of_v, extent(free as isize), Sum::scaled(factor), free, out);
     }
 }
 
@@ -488,6 +623,27 @@ fn add_to_diagonal(matrix: &mut DMatrix<f64>, value: f64) {
     for j in 0..matrix.nrows() {
         matrix[(j, j)] += value;
     }
+}
+
+/// Returns the rows of a square matrix (n × n) not farther than `half_bandwidth` from the diagonal in some columns.
+fn near(columns: &Range<usize>, half_bandwidth: usize, n: usize) -> Range<usize> {
+    columns.start.saturating_sub(half_bandwidth)..(columns.end + half_bandwidth).min(n)
+}
+
+/// Adds runs, from row `first` on, of the parameters that reach one of `rows`.
+fn extend_by_reached(runs: &mut Vec<Range<usize>>, first: usize, reach: &[Range<usize>], rows: &Range<usize>) {
+    let mut last = 0..0;
+    for (parameter, reach) in reach.iter().enumerate() {
+        if reach.start < rows.end && reach.end > rows.start && !reach.is_empty() {
+            let row = first + parameter;
+            if last.end != row {
+                runs.extend((!last.is_empty()).then_some(last));
+                last = row..row;
+            }
+            last.end = row + 1;
+        }
+    }
+    runs.extend((!last.is_empty()).then_some(last));
 }
 
 /// Returns the rows of a square matrix (n × n) not farther from the diagonal than `half_bandwidth` in a column.

@@ -171,7 +171,7 @@ pub(crate) fn correct(
     }
     packed.pack_runs(right, |_, runs| runs.push(0..terms));
     let sum = Sum { factor: 1.0, start: Some(covariance) };
-    multiplier.multiply_to(Left::new(left), packed, Extent::Lower, sum, corrected);
+    multiplier.multiply_to(Left::new(left), packed, Extent::LOWER, sum, corrected);
     multiplier.mirror_lower_mut(corrected); // Σ = P + λ B Σ_f Bᵀ − Vᵀ V                         (2.70)
     let Some(JosephWorkspace { gain_transposed, h_x, noise_gain }) = &mut work.joseph else {
         return;

@@ -87,6 +87,15 @@ impl Response {
         }
     }
 
+    /// Adds the row of the Jacobian to a vector (n).
+    pub(super) fn add_row_to(&self, free: usize, out: &mut [f64]) {
+        match self {
+            Self::Displacement(terms) => terms.iter().for_each(|(dof, factor)| out[*dof] += factor),
+            Self::Velocity(dof) => out[free + dof] += 1.0,
+            Self::Acceleration(Acceleration { row, .. }) => row.iter().for_each(|(entry, value)| out[*entry] += value),
+        }
+    }
+
     /// Returns the entry of `D` for one component of the excitation.
     pub(super) fn direct_effect(&self, fixed: &Fixed, point: &Point, input: usize) -> f64 {
         match self {
