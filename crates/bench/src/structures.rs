@@ -30,16 +30,13 @@ impl Monitored {
         Self { name, frames: frames.collect(), structure }
     }
 
-    /// The three-pier bridge with its damping identified too, twelve channels and 400 frames per second: 127 states.
+    /// The three-pier bridge with twelve channels and 400 frames per second: 127 states.
     ///
     /// # Errors
     /// When its file is not valid.
     pub fn bridge(frames: usize) -> Result<Self, Box<dyn Error>> {
         let (mut text, path) = example("three-pier-bridge")?;
         text = text.replace("sampling-rate-hz = 250", "sampling-rate-hz = 400");
-        for damping in ["alpha", "beta"] {
-            text += &format!("\n[[parameter]]\nname = \"{damping}\"\nscales = \"damping-{damping}\"\nstd = 0.1\n");
-        }
         text += "\n[[node]]\nname = \"more\"\n";
         for dof in ["node-3-y", "node-7-y", "node-11-y", "node-15-y"] {
             text += &format!(

@@ -1,7 +1,7 @@
 //! Small dense kernels that allocate nothing: nalgebra's own give up their storage on failure or pack into new buffers.
 
 use nalgebra::DMatrix;
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 /// Replaces the lower triangle of a symmetric positive definite matrix by its Cholesky factor `L`; zeroes the rest.
 ///
@@ -58,29 +58,41 @@ const ROWS: usize = 64;
 
 /// Replaces every row `b` (in a column-major slice) by `L⁻¹ b`.
 pub(crate) fn solve_lower_of_rows_mut(factor: &DMatrix<f64>, columns: &mut [f64]) {
-    Arch::new().dispatch(|| solve_lower_of_rows(factor, columns));
+    Arch::new().dispatch(SolveLowerOfRows { factor, columns });
 }
 
-#[inline(always)]
-fn solve_lower_of_rows(factor: &DMatrix<f64>, columns: &mut [f64]) {
-    let m = factor.nrows();
-    if m == 0 {
-        return;
-    }
-    let rows = columns.len() / m;
-    for first in (0..rows).step_by(ROWS) {
-        let end = (first + ROWS).min(rows);
-        for i in 0..m {
-            let (solved, rest) = columns.split_at_mut(i * rows);
-            let entries = &mut rest[first..end];
-            for (k, column) in solved.chunks_exact(rows).enumerate() {
-                let weight = factor[(i, k)];
-                for (entry, known) in entries.iter_mut().zip(&column[first..end]) {
-                    *entry -= weight * known;
+struct SolveLowerOfRows<'m> {
+    factor: &'m DMatrix<f64>,
+    columns: &'m mut [f64],
+}
+
+impl WithSimd for SolveLowerOfRows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { factor, columns } = self;
+        let m = factor.nrows();
+        if m == 0 {
+            return;
+        }
+        let rows = columns.len() / m;
+        for first in (0..rows).step_by(ROWS) {
+            let end = (first + ROWS).min(rows);
+            for i in 0..m {
+                let (solved, rest) = columns.split_at_mut(i * rows);
+                let entries = &mut rest[first..end];
+                for k in 0..i {
+                    let weight = factor[(i, k)];
+                    for (entry, known) in entries.iter_mut().zip(&solved[k * rows + first..k * rows + end]) {
+                        *entry -= weight * known;
+                    }
+                }
+                let reciprocal = 1.0 / factor[(i, i)];
+                for entry in entries {
+                    *entry *= reciprocal;
                 }
             }
-            let reciprocal = 1.0 / factor[(i, i)];
-            entries.iter_mut().for_each(|entry| *entry *= reciprocal);
         }
     }
 }

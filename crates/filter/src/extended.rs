@@ -604,7 +604,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         if let Some(posterior) = &state.posterior {
             work.older += &posterior.mean;
         }
-        if let Some(ConstantPath { transition, column, .. }) = &mut work.constant {
+        if let Some(constant) = &mut work.constant {
+            constant.propagate_covariance_to(&state.covariance, settings.fading.value(), &mut work.covariance);
+            let ConstantPath { transition, column, .. } = constant;
             let held = &work.older;
             let ramp = (settings.input_hold == InputHold::First).then(|| {
                 work.newer_less_older.copy_from(&work.newer);
@@ -613,9 +615,6 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             });
             transition.predict_mean_mut(&mut work.mean, held, ramp, column);
             work.input_matrix.copy_from(transition.held_input());
-            transition.propagate_covariance_to(&state.covariance, &mut work.covariance, column);
-            work.covariance *= settings.fading.value();
-            symmetrise_mut(&mut work.covariance);
             if let Some(ExcitationPosterior { cross, .. }) = &state.posterior {
                 work.cross.copy_from(cross);
                 transition.mul_mut(&mut work.cross, column);

@@ -94,24 +94,38 @@ impl Right {
         matrix: &DMatrix<f64>,
         of_group: impl Fn(Range<usize>, &mut Vec<Range<usize>>),
     ) {
-        let rows = matrix.nrows();
         self.clear(matrix.ncols());
         for columns in groups(matrix.ncols()) {
-            let first_run = self.runs.len();
-            of_group(columns.clone(), &mut self.runs);
-            let of_column = |column: usize| &matrix.as_slice()[column * rows..(column + 1) * rows];
-            for run in &self.runs[first_run..] {
+            of_group(columns, &mut self.runs);
+            self.ends.push(self.runs.len());
+        }
+        self.repack(matrix);
+    }
+
+    /// Packs a matrix (k × c) with zeros where the one before had them.
+    pub(crate) fn repack(&mut self, matrix: &DMatrix<f64>) {
+        let rows = matrix.nrows();
+        self.values.clear();
+        let mut start = 0;
+        for (columns, end) in groups(self.columns).zip(&self.ends) {
+            for run in &self.runs[start..*end] {
                 let first_value = self.values.len();
                 self.values.resize(first_value + COLUMNS * run.len(), 0.0);
+                let values = self.values[first_value..].as_chunks_mut::<COLUMNS>().0;
                 for (place, column) in columns.clone().enumerate() {
-                    let values = self.values[first_value + place..].iter_mut().step_by(COLUMNS);
-                    for (value, entry) in values.zip(&of_column(column)[run.clone()]) {
-                        *value = *entry;
+                    let entries = &matrix.as_slice()[column * rows + run.start..column * rows + run.end];
+                    for (values, entry) in values.iter_mut().zip(entries) {
+                        values[place] = *entry;
                     }
                 }
             }
-            self.ends.push(self.runs.len());
+            start = *end;
         }
+    }
+
+    /// Tells whether a factor has been packed.
+    pub(crate) fn is_packed(&self) -> bool {
+        !self.ends.is_empty()
     }
 
     fn clear(&mut self, columns: usize) {
@@ -367,80 +381,90 @@ impl Left<'_> {
     }
 }
 
-/// Rows and columns that are transposed together, in registers.
-const TILE: usize = 8;
-
-type Tile = [[f64; TILE]; TILE];
-
-/// Reads a tile of a column-major matrix at an entry, column by column.
-#[inline(always)]
-fn tile(entries: &[f64], stride: usize, row: usize, column: usize) -> Option<Tile> {
-    let mut tile = [[0.0; TILE]; TILE];
-    for (place, of_column) in tile.iter_mut().enumerate() {
-        *of_column = *entries.get((column + place) * stride + row..)?.first_chunk()?;
-    }
-    Some(tile)
-}
-
-/// Writes the transpose of a tile at an entry.
-#[inline(always)]
-fn write_transposed(tile: &Tile, entries: &mut [f64], stride: usize, row: usize, column: usize) {
-    for place in 0..TILE {
-        let flipped: [f64; TILE] = std::array::from_fn(|of_column| tile[of_column][place]);
-        let first = (column + place) * stride + row;
-        entries[first..first + TILE].copy_from_slice(&flipped);
-    }
-}
+/// Rows and columns that are transposed together, so that both places stay in the nearest memory.
+const TILE: usize = 4;
 
 impl Multiplier {
     /// Writes the transpose of `matrix` (m × n) into `out` (n × m).
     pub(crate) fn transpose_to(self, matrix: &DMatrix<f64>, out: &mut DMatrix<f64>) {
-        self.0.dispatch(|| transpose(matrix, out));
+        let (rows, columns) = matrix.shape();
+        self.0.dispatch(Transpose { from: matrix.as_slice(), rows, columns, out: out.as_mut_slice() });
     }
 
     /// Copies what is below the diagonal of a square matrix to the place above it.
     pub(crate) fn mirror_lower_mut(self, matrix: &mut DMatrix<f64>) {
-        self.0.dispatch(|| mirror_lower(matrix));
+        let n = matrix.nrows();
+        self.0.dispatch(Mirror { n, entries: matrix.as_mut_slice() });
     }
 }
 
+/// Copies the transpose of a tile: `from` begins at its first entry, columns `stride` apart; so does `to`.
 #[inline(always)]
-fn transpose(matrix: &DMatrix<f64>, out: &mut DMatrix<f64>) {
-    let (rows, columns) = matrix.shape();
-    let (from, to) = (matrix.as_slice(), out.as_mut_slice());
-    let (whole_rows, whole_columns) = (rows / TILE * TILE, columns / TILE * TILE);
-    for column in (0..whole_columns).step_by(TILE) {
-        for row in (0..whole_rows).step_by(TILE) {
-            if let Some(tile) = tile(from, rows, row, column) {
-                write_transposed(&tile, to, columns, column, row);
-            }
-        }
-    }
-    for column in 0..columns {
-        let first = if column < whole_columns { whole_rows } else { 0 };
-        for row in first..rows {
-            to[row * columns + column] = from[column * rows + row];
+fn transpose_tile(from: &[f64], stride: usize, to: &mut [f64], to_stride: usize) {
+    let column = |index: usize| from.get(index * stride..)?.first_chunk::<TILE>().copied();
+    let (Some(a), Some(b), Some(c), Some(d)) = (column(0), column(1), column(2), column(3)) else {
+        return;
+    };
+    for row in 0..TILE {
+        if let Some(to) = to.get_mut(row * to_stride..).and_then(<[f64]>::first_chunk_mut::<TILE>) {
+            *to = [a[row], b[row], c[row], d[row]];
         }
     }
 }
 
-#[inline(always)]
-fn mirror_lower(matrix: &mut DMatrix<f64>) {
-    let n = matrix.nrows();
-    let entries = matrix.as_mut_slice();
-    let whole = n / TILE * TILE;
-    for column in (0..whole).step_by(TILE) {
-        for row in (column + TILE..whole).step_by(TILE) {
-            if let Some(tile) = tile(entries, n, row, column) {
-                write_transposed(&tile, entries, n, column, row);
+struct Transpose<'m> {
+    from: &'m [f64],
+    rows: usize,
+    columns: usize,
+    out: &'m mut [f64],
+}
+
+impl WithSimd for Transpose<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { from, rows, columns, out } = self;
+        let (whole_rows, whole_columns) = (rows / TILE * TILE, columns / TILE * TILE);
+        for column in (0..whole_columns).step_by(TILE) {
+            for row in (0..whole_rows).step_by(TILE) {
+                transpose_tile(&from[column * rows + row..], rows, &mut out[row * columns + column..], columns);
+            }
+        }
+        for column in 0..columns {
+            let first = if column < whole_columns { whole_rows } else { 0 };
+            for row in first..rows {
+                out[row * columns + column] = from[column * rows + row];
             }
         }
     }
-    // on the diagonal, and below the last whole tile
-    for row in 0..n {
-        let first = if row < whole { row / TILE * TILE } else { 0 };
-        for column in first..row {
-            entries[row * n + column] = entries[column * n + row];
+}
+
+struct Mirror<'m> {
+    n: usize,
+    entries: &'m mut [f64],
+}
+
+impl WithSimd for Mirror<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { n, entries } = self;
+        let whole = n / TILE * TILE;
+        for row in (TILE..whole).step_by(TILE) {
+            // the columns before `row` hold what is copied, the others receive it
+            let (known, wanted) = entries.split_at_mut(row * n);
+            for column in (0..row).step_by(TILE) {
+                transpose_tile(&known[column * n + row..], n, &mut wanted[column..], n);
+            }
+        }
+        // on the diagonal, and below the last whole tile
+        for row in 0..n {
+            let first = if row < whole { row / TILE * TILE } else { 0 };
+            for column in first..row {
+                entries[row * n + column] = entries[column * n + row];
+            }
         }
     }
 }

@@ -159,8 +159,11 @@ pub(crate) fn correct(
     let v_transposed = left.columns(0, channels);
     mean.gemv(1.0, &v_transposed, whitened, 1.0); // y ← y + Vᵀ ν̃                 (2.68)
     h_p.tr_copy_from(&v_transposed);
-    for (entry, v) in right.rows_mut(0, channels).iter_mut().zip(h_p.iter()) {
-        *entry = -v;
+    let (all, of_v) = (right.nrows(), h_p.as_slice().chunks_exact(channels.max(1)));
+    for (right, v) in right.as_mut_slice().chunks_exact_mut(all.max(1)).zip(of_v) {
+        for (entry, v) in right.iter_mut().zip(v) {
+            *entry = -v;
+        }
     }
     let mut terms = channels;
     if let Some(ExcitationSpread { input, scaled }) = spread {

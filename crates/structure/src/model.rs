@@ -360,7 +360,7 @@ impl ObservationModel for StructureModel {
 
     fn observation_matrix(&self, transposed: &mut DMatrix<f64>) -> bool {
         let (len, free) = (self.state_len(), self.fixed.assembly.len());
-        transposed.fill(0.0);
+        transposed.as_mut_slice().fill(0.0);
         for (column, response) in transposed.as_mut_slice().chunks_exact_mut(len).zip(&self.responses) {
             response.add_row_to(free, column);
         }
