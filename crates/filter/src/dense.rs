@@ -128,7 +128,8 @@ pub(crate) fn symmetrise_mut(matrix: &mut DMatrix<f64>) {
 
 /// Adds `scale · X` to a matrix of the same size.
 pub(crate) fn add_scaled_mut(target: &mut DMatrix<f64>, scale: f64, x: &DMatrix<f64>) {
-    for (entry, addend) in target.iter_mut().zip(x.iter()) {
+    // slices: several times faster than the iterators of nalgebra
+    for (entry, addend) in target.as_mut_slice().iter_mut().zip(x.as_slice()) {
         *entry += scale * addend;
     }
 }

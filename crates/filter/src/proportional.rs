@@ -338,20 +338,20 @@ impl Transition {
         packed.pack_band(z_step, half_bandwidth);
         by_square(step, packed, product);
         by_square(z_step, packed, other);
-        *step *= 2.0;
-        *step += &*product; // 2s − Gs s
-        product.copy_from(z_step);
-        *z_step *= 2.0;
-        *z_step += &*other; // −2Gs + (Gs)²
-        *product *= 2.0;
-        add_scaled_mut(product, rest, impulse);
-        add_scaled_mut(product, slope_of_z, z_impulse);
+        let of_step = step.as_mut_slice().iter_mut().zip(z_step.as_mut_slice());
+        let of_impulse = impulse.as_slice().iter().zip(z_impulse.as_slice());
+        let of_products = product.as_mut_slice().iter_mut().zip(other.as_slice());
+        for (((s, z_s), (q, z_q)), (product, z_s_squared)) in of_step.zip(of_impulse).zip(of_products) {
+            *s = 2.0 * *s + *product; // 2s − Gs s
+            *product = 2.0 * *z_s + rest * q + slope_of_z * z_q;
+            *z_s = 2.0 * *z_s + z_s_squared; // −2Gs + (Gs)²
+        }
         add_to_diagonal(product, 2.0); // both blocks on the diagonal of Φ: 2I − 2Gs − (α + βG) q
         packed.pack_band(impulse, half_bandwidth);
         by_square(impulse, packed, other);
-        *step += &*other; // s(2t) = 2s − Gs s + q²
+        add_scaled_mut(step, 1.0, other); // s(2t) = 2s − Gs s + q²
         by_square(z_impulse, packed, other);
-        *z_step += &*other; // −Gs(2t) = −2Gs + (Gs)² − Gq q
+        add_scaled_mut(z_step, 1.0, other); // −Gs(2t) = −2Gs + (Gs)² − Gq q
         packed.pack_band(product, half_bandwidth);
         by_square(impulse, packed, other);
         std::mem::swap(impulse, other);
