@@ -50,7 +50,11 @@ impl Options {
                 "--python" => options.python = Some(value()?.into()),
                 "--plot" => options.plot = Some(value()?.into()),
                 "--bench" => {}
-                _ => return Err(format!("{argument} is no option; there are --test, --storeys, --python and --plot").into()),
+                _ => {
+                    return Err(
+                        format!("{argument} is no option; there are --test, --storeys, --python and --plot").into()
+                    );
+                }
             }
         }
         if options.smoke {
@@ -75,7 +79,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         linear::<40, 4>(20, &options)?;
     }
     println!("\nStructures that have to keep up with their sensors\n");
-    println!("| structure | states | channels | frames per second | µs a step | times real time |\n|---|---|---|---|---|---|");
+    println!(
+        "| structure | states | channels | frames per second | µs a step | times real time |\n|---|---|---|---|---|---|"
+    );
     keep_up(&options)
 }
 

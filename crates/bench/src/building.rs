@@ -125,8 +125,7 @@ fn parameters(storeys: usize) -> String {
             "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\nof = [\"storey-{storey}\"]\nstd = 0.1\n"
         )
     };
-    let damping =
-        |name| format!("[[parameter]]\nname = \"{name}\"\nscales = \"damping-{name}\"\nstd = 0.1\n");
+    let damping = |name| format!("[[parameter]]\nname = \"{name}\"\nscales = \"damping-{name}\"\nstd = 0.1\n");
     (1..=storeys).map(storey).chain(["alpha", "beta"].map(damping)).collect()
 }
 

@@ -68,7 +68,8 @@ impl<M: ProcessModel + ObservationModel> DenseFilter<M> {
         let input = exponential.view((0, n + 1), (n, inputs));
         self.mean += exponential.column(n).rows(0, n);
         let noise = input * &self.settings.noise.excitation * input.transpose();
-        self.covariance = self.settings.fading.value() * (transition * &self.covariance * transition.transpose() + noise);
+        self.covariance =
+            self.settings.fading.value() * (transition * &self.covariance * transition.transpose() + noise);
     }
 
     /// Returns the filtered state `y` (n).

@@ -82,7 +82,12 @@ pub fn plot(rows: &[Row], path: &Path) -> Result<(), Box<dyn Error>> {
         .x_label_area_size(40)
         .y_label_area_size(64)
         .build_cartesian_2d((4.0..500.0_f64).log_scale(), (1e-7..20.0_f64).log_scale())?;
-    chart.configure_mesh().x_desc("storeys").y_desc("time of a step (s)").y_label_formatter(&|y| format!("{y:.0e}")).draw()?;
+    chart
+        .configure_mesh()
+        .x_desc("storeys")
+        .y_desc("time of a step (s)")
+        .y_label_formatter(&|y| format!("{y:.0e}"))
+        .draw()?;
     for (name, time, colour) in LINES {
         let points: Vec<(f64, f64)> =
             rows.iter().map(|row| (row.storeys as f64, time(row))).filter(|(_, time)| time.is_finite()).collect();
@@ -103,16 +108,21 @@ mod tests {
 
     fn row() -> Row {
         let unknown = f64::NAN;
-        Row { storeys: 5, spandrel: 1e-5, spandrel_known: 8e-6, floor: 5e-6, dense: 1e-4, filterpy: 2e-4, numpy: unknown }
+        Row {
+            storeys: 5,
+            spandrel: 1e-5,
+            spandrel_known: 8e-6,
+            floor: 5e-6,
+            dense: 1e-4,
+            filterpy: 2e-4,
+            numpy: unknown,
+        }
     }
 
     #[test]
     fn table_has_ratios_and_leaves_out_what_was_not_measured() {
         let table = markdown(&[row()]);
-        assert_eq!(
-            table.lines().last(),
-            Some("| 5 | 17 | 10.0 | 8.0 | 5.0 | 2.0 | 100 | 10.0 | 200 | 20.0 | | |")
-        );
+        assert_eq!(table.lines().last(), Some("| 5 | 17 | 10.0 | 8.0 | 5.0 | 2.0 | 100 | 10.0 | 200 | 20.0 | | |"));
     }
 
     #[test]

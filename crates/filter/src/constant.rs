@@ -272,12 +272,7 @@ impl DenseProducts {
 
 impl ConstantPath {
     /// Writes `λ A_d Σ A_dᵀ` (n × n) into `out`, exactly symmetric.
-    pub(crate) fn propagate_covariance_to(
-        &mut self,
-        covariance: &DMatrix<f64>,
-        fading: f64,
-        out: &mut DMatrix<f64>,
-    ) {
+    pub(crate) fn propagate_covariance_to(&mut self, covariance: &DMatrix<f64>, fading: f64, out: &mut DMatrix<f64>) {
         if let Some(dense) = &mut self.dense {
             dense.propagate_covariance_to(covariance, fading, out);
         } else {

@@ -61,7 +61,8 @@ impl Right {
                 self.values.resize(first_value + COLUMNS * run.len(), 0.0);
                 for (lane, column) in columns.clone().enumerate() {
                     let start = column.saturating_sub(half_bandwidth);
-                    let entries = &matrix.as_slice()[column * n + start..column * n + (column + half_bandwidth + 1).min(n)];
+                    let entries =
+                        &matrix.as_slice()[column * n + start..column * n + (column + half_bandwidth + 1).min(n)];
                     let values = self.values[first_value + COLUMNS * (start - run.start) + lane..].iter_mut();
                     for (value, entry) in values.step_by(COLUMNS).zip(entries) {
                         *value = factor * entry;
@@ -89,11 +90,7 @@ impl Right {
     }
 
     /// Packs a matrix (k × c) whose entries are zero outside the runs of rows, increasing, that `of_group` adds for some columns.
-    pub(crate) fn pack_runs(
-        &mut self,
-        matrix: &DMatrix<f64>,
-        of_group: impl Fn(Range<usize>, &mut Vec<Range<usize>>),
-    ) {
+    pub(crate) fn pack_runs(&mut self, matrix: &DMatrix<f64>, of_group: impl Fn(Range<usize>, &mut Vec<Range<usize>>)) {
         self.clear(matrix.ncols());
         for columns in groups(matrix.ncols()) {
             of_group(columns, &mut self.runs);
@@ -522,7 +519,8 @@ mod tests {
     #[test]
     fn zeros_of_a_sparse_factor_change_nothing() {
         let left = matrix(20, 20);
-        let sparse = DMatrix::from_fn(20, 6, |row, column| if (row * column) % 5 == 1 { 1.0 + row as f64 } else { 0.0 });
+        let sparse =
+            DMatrix::from_fn(20, 6, |row, column| if (row * column) % 5 == 1 { 1.0 + row as f64 } else { 0.0 });
         let mut right = Right::new(20, 6, 10);
         right.pack_sparse(&sparse);
         let mut out = DMatrix::zeros(20, 6);
@@ -533,7 +531,11 @@ mod tests {
     #[test]
     fn product_of_bands_is_that_of_nalgebra_and_zero_outside() {
         let band = |half: usize| {
-            DMatrix::from_fn(45, 45, move |i, j| if i.abs_diff(j) <= half { ((3 * i + 7 * j) as f64).sin() } else { 0.0 })
+            DMatrix::from_fn(
+                45,
+                45,
+                move |i, j| if i.abs_diff(j) <= half { ((3 * i + 7 * j) as f64).sin() } else { 0.0 },
+            )
         };
         let (left, full) = (band(4), matrix(45, 45));
         let mut right = Right::new(45, 45, 1);
@@ -546,7 +548,8 @@ mod tests {
 
     #[test]
     fn joined_pieces_are_multiplied_as_one_matrix_into_the_columns_asked_for() {
-        let (first, second, by_first, by_second) = (matrix(21, 9), matrix(21, 6), matrix(6, 6), matrix(6, 6).transpose());
+        let (first, second, by_first, by_second) =
+            (matrix(21, 9), matrix(21, 6), matrix(6, 6), matrix(6, 6).transpose());
         let mut right = Right::new(12, 6, 2);
         right.pack_bands([(&by_first, 2.0), (&by_second, 1.0)], 6);
         let left = Left::joined(&first, 3..9, &second);

@@ -320,7 +320,9 @@ impl Transition {
     /// `Gs` and `Gq` are doubled like `q` and `s`: to multiply these by `G` once more would raise the rounding of the slow modes to
     /// the size of the fast ones.
     fn double(&mut self, [rest, slope_of_z]: [f64; 2], slope: Option<&[f64]>) {
-        let Self { impulse, z_impulse, step, z_step, ramp, square: [product, other], column, by_square: packed, .. } = self;
+        let Self {
+            impulse, z_impulse, step, z_step, ramp, square: [product, other], column, by_square: packed, ..
+        } = self;
         let multiplier = self.multiplier;
         if let Some(slope) = slope {
             // ∫ s(2t) = 2 ∫ s + s (2q + (α + βG) s)
@@ -497,13 +499,13 @@ impl Transition {
             for (index, (entry, transition)) in motion.iter_mut().zip(transition).enumerate() {
                 let of_x = around(index % free, half_bandwidth, free);
                 let of_v = of_x.start + free..of_x.end + free;
-                *entry =
-                    [of_x, of_v, 2 * free..n].map(|rows| dot(&transition[rows.clone()], &x[rows])).iter().sum();
+                *entry = [of_x, of_v, 2 * free..n].map(|rows| dot(&transition[rows.clone()], &x[rows])).iter().sum();
             }
             return;
         }
         let [accelerations, _] = &mut self.column;
-        for (entry, by_state) in accelerations.iter_mut().zip(self.accelerations.transposed.as_slice().chunks_exact(n)) {
+        for (entry, by_state) in accelerations.iter_mut().zip(self.accelerations.transposed.as_slice().chunks_exact(n))
+        {
             *entry = dot(by_state, x);
         }
         let velocities = &x[free..2 * free];
@@ -528,7 +530,14 @@ enum Triangle {
 
 impl Accelerations {
     /// Writes `factor · X [Φ, ΨW]ᵀ` for `X` (m × n) into the first rows and columns of `out`.
-    fn apply_to(&mut self, x: &DMatrix<f64>, triangle: Triangle, factor: f64, out: &mut DMatrix<f64>, multiplier: Multiplier) {
+    fn apply_to(
+        &mut self,
+        x: &DMatrix<f64>,
+        triangle: Triangle,
+        factor: f64,
+        out: &mut DMatrix<f64>,
+        multiplier: Multiplier,
+    ) {
         let Self { by_state, by_motion: [of_x, of_v], half_way, whole_way, .. } = self;
         let free = half_way.ncols() as isize;
         let caused = if triangle == Triangle::Both { half_way } else { whole_way };

@@ -5,7 +5,8 @@
 //! itself is never formed, and both triangles get the same bits.
 
 use crate::dense::{
-    cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut, solve_lower_transposed_mut, subtract_gram_mut,
+    cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut, solve_lower_transposed_mut,
+    subtract_gram_mut,
 };
 use crate::error::FilterError;
 use crate::model::ObservationModel;

@@ -159,7 +159,8 @@ fn kinds(n: usize, parameters: usize) -> [std::ops::Range<usize>; 3] {
 fn level(entries: &DVector<f64>, parameters: usize) -> DVector<f64> {
     let mut levels = entries.clone();
     for kind in kinds(entries.len(), parameters) {
-        let largest = entries.as_slice()[kind.clone()].iter().fold(f64::MIN_POSITIVE, |most, entry| most.max(entry.abs()));
+        let largest =
+            entries.as_slice()[kind.clone()].iter().fold(f64::MIN_POSITIVE, |most, entry| most.max(entry.abs()));
         levels.as_mut_slice()[kind].fill(largest);
     }
     levels

@@ -1,9 +1,9 @@
 //! The blocks against the series that applies the Jacobian to columns.
 
 use super::*;
-use std::ops::Range;
 use crate::discretise::{self, integrate_inputs, propagate_covariance, transition_mul_narrow};
 use crate::model::ProcessModel;
+use std::ops::Range;
 
 const STEP_S: f64 = 0.01;
 const INPUTS: usize = 2;
@@ -252,7 +252,8 @@ fn a_reach_changes_nothing_but_what_is_computed() {
             narrow.by_theta[(row, parameter)] = 0.0;
         }
     }
-    let wide = Structure { reach: narrow.reach.clone(), by_theta: narrow.by_theta.clone(), ..chain(40, reach.len(), 0.4) };
+    let wide =
+        Structure { reach: narrow.reach.clone(), by_theta: narrow.by_theta.clone(), ..chain(40, reach.len(), 0.4) };
     narrow.reach = reach;
     let propagated = [&narrow, &wide].map(|structure| {
         let form = structure.proportional_form().unwrap();

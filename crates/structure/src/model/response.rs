@@ -83,7 +83,9 @@ impl Response {
         match self {
             Self::Displacement(terms) => terms.iter().map(|(dof, factor)| factor * column[*dof]).sum(),
             Self::Velocity(dof) => column[free + dof],
-            Self::Acceleration(Acceleration { row, .. }) => row.iter().map(|(entry, value)| value * column[*entry]).sum(),
+            Self::Acceleration(Acceleration { row, .. }) => {
+                row.iter().map(|(entry, value)| value * column[*entry]).sum()
+            }
         }
     }
 

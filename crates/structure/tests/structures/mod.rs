@@ -119,7 +119,8 @@ fn sway(first: &str, second: &str, one: &str, other: &str, direction: &str) -> S
         writeln!(text, "{channel}\nname = \"{dof}\"\ndof = \"{dof}\"").unwrap();
     }
     for group in [first, second] {
-        writeln!(text, "[[parameter]]\nname = \"{group}\"\nscales = \"stiffness\"\nof = [\"{group}\"]\nstd = 0.1").unwrap();
+        writeln!(text, "[[parameter]]\nname = \"{group}\"\nscales = \"stiffness\"\nof = [\"{group}\"]\nstd = 0.1")
+            .unwrap();
     }
     text
 }
