@@ -81,7 +81,7 @@ pub fn plot(rows: &[Row], path: &Path) -> Result<(), Box<dyn Error>> {
         .margin(12)
         .x_label_area_size(40)
         .y_label_area_size(64)
-        .build_cartesian_2d((4.0..500.0_f64).log_scale(), (1e-7..20.0_f64).log_scale())?;
+        .build_cartesian_2d((4.0..500.0_f64).log_scale(), (5e-8..20.0_f64).log_scale())?;
     chart
         .configure_mesh()
         .x_desc("storeys")
@@ -91,13 +91,13 @@ pub fn plot(rows: &[Row], path: &Path) -> Result<(), Box<dyn Error>> {
     for (name, time, colour) in LINES {
         let points: Vec<(f64, f64)> =
             rows.iter().map(|row| (row.storeys as f64, time(row))).filter(|(_, time)| time.is_finite()).collect();
-        chart.draw_series(LineSeries::new(points.clone(), colour.stroke_width(2)))?;
+        chart
+            .draw_series(LineSeries::new(points.clone(), colour.stroke_width(2)))?
+            .label(name)
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
         chart.draw_series(points.iter().map(|point| Circle::new(*point, 3, colour.filled())))?;
-        if let Some((x, y)) = points.last() {
-            let style = ("sans-serif", 13).into_font().color(&colour);
-            chart.draw_series([Text::new(name, (x * 0.55, y * 1.5), style)])?;
-        }
     }
+    chart.configure_series_labels().position(SeriesLabelPosition::UpperLeft).background_style(WHITE).draw()?;
     root.present()?;
     Ok(())
 }

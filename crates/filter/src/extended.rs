@@ -4,22 +4,26 @@
 //! equations (3.14) to (3.18) with the noise parameters updated before the state.
 
 mod marginal;
+mod settings;
+mod state;
+mod workspace;
+
+pub use settings::{Annealing, FilterSettings};
+pub use state::FilterState;
 
 use crate::constant::ConstantPath;
 use crate::dense::{add_quadratic_form_mut, symmetrise_mut};
 use crate::discretise::{self, InputHold, Series};
 use crate::error::FilterError;
-use crate::fading::{FadingFactor, bound_variances_mut};
+use crate::fading::bound_variances_mut;
 use crate::model::{ObservationModel, ProcessModel};
-use crate::noise::{
-    ExcitationPath, NoiseEvents, NoiseModel, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget, Objective,
-};
-use crate::outlier::{OutlierSettings, OutlierState};
-use crate::product::{Extent, Left, Multiplier, Right, Sum};
+use crate::noise::{ExcitationPath, NoiseEvents, NoisePhase, NoiseRule, NoiseState, NoiseTarget};
+use crate::outlier::OutlierState;
+use crate::product::{Extent, Left, Sum};
 use crate::proportional;
-use crate::update::{self, CovarianceForm, ExcitationPosterior, ExcitationSpread};
+use crate::update::{self, ExcitationPosterior, ExcitationSpread};
 use nalgebra::{DMatrix, DVector};
-use serde::{Deserialize, Serialize};
+use workspace::Workspace;
 
 /// A negative variance below this, relative to the largest, is rounding: at the start of a wide prior the smallest
 /// eigenvalue sits there in every form of the update.
@@ -27,109 +31,6 @@ const ROUNDING: f64 = 1e-12;
 
 /// Above this normalised innovation squared per entry of the state, a step is no measure of the motion.
 const CREDIBLE: f64 = 25.0;
-
-/// Start-up aid: the measurement noise is taken as `Σ_n (1 + a e^(−t/τ))`.
-///
-/// With accurate sensors and parameters that start far off, the first updates lie outside the linear range of the
-/// filter and lock it at wrong values with small deviations; softened, they do not.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Annealing {
-    /// `a`, 0 for none.
-    pub amount: f64,
-    /// `τ` (s).
-    pub time_constant_s: f64,
-}
-
-/// All that a filter needs to know besides its model.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FilterSettings {
-    /// Time between two frames (s).
-    pub step_s: f64,
-    /// Mean of the state before the first frame (n).
-    pub prior_mean: DVector<f64>,
-    /// Standard deviation of the state before the first frame (n).
-    pub prior_std: DVector<f64>,
-    /// `λ` of the state.
-    pub fading: FadingFactor,
-    /// No variance exceeds this (n, state unit²); infinite where there is no bound.
-    pub variance_bound: DVector<f64>,
-    /// The state is kept above this (n); minus infinity where there is no limit.
-    pub lower: DVector<f64>,
-    /// The state is kept below this (n).
-    pub upper: DVector<f64>,
-    /// Both noises.
-    pub noise: NoiseModel,
-    /// How the noise parameters are identified.
-    pub noise_settings: NoiseSettings,
-    /// How outliers are screened, if they are.
-    pub outliers: Option<OutlierSettings>,
-    /// Start-up aid, if any.
-    pub annealing: Option<Annealing>,
-    /// How a known excitation runs between frames.
-    pub input_hold: InputHold,
-    /// The form of the covariance update.
-    pub covariance_form: CovarianceForm,
-}
-
-impl FilterSettings {
-    /// Makes settings with no forgetting, no bounds, known noises and no start-up aid.
-    #[must_use]
-    pub fn new(step_s: f64, prior_mean: DVector<f64>, prior_std: DVector<f64>, noise: NoiseModel) -> Self {
-        let n = prior_mean.len();
-        Self {
-            step_s,
-            prior_mean,
-            prior_std,
-            fading: FadingFactor::NONE,
-            variance_bound: DVector::repeat(n, f64::INFINITY),
-            lower: DVector::repeat(n, f64::NEG_INFINITY),
-            upper: DVector::repeat(n, f64::INFINITY),
-            noise,
-            noise_settings: NoiseSettings::default(),
-            outliers: None,
-            annealing: None,
-            input_hold: InputHold::Zero,
-            covariance_form: CovarianceForm::Symmetric,
-        }
-    }
-
-    pub(crate) fn check(&self, model: &(impl ProcessModel + ObservationModel)) -> Result<(), FilterError> {
-        let n = model.state_len();
-        let vectors = [
-            ("prior mean", self.prior_mean.len()),
-            ("prior standard deviation", self.prior_std.len()),
-            ("variance bound", self.variance_bound.len()),
-            ("lower limit", self.lower.len()),
-            ("upper limit", self.upper.len()),
-        ];
-        for (what, found) in vectors {
-            if found != n {
-                return Err(FilterError::Dimension { what, found, expected: n });
-            }
-        }
-        if !(self.step_s > 0.0 && self.step_s.is_finite()) {
-            return Err(FilterError::Setting { what: "time step", found: self.step_s, allowed: "positive" });
-        }
-        for (&low, &high) in self.lower.iter().zip(&self.upper) {
-            // `clamp` panics on such limits
-            if low.is_nan() || high.is_nan() || low > high {
-                let allowed = "not above its upper limit, and a number";
-                return Err(FilterError::Setting { what: "lower limit of the state", found: low, allowed });
-            }
-        }
-        for &std in &self.prior_std {
-            if !(std >= 0.0 && std.is_finite()) {
-                let what = "prior standard deviation";
-                return Err(FilterError::Setting { what, found: std, allowed: "finite and not negative" });
-            }
-        }
-        self.noise_settings.check(self.noise.parameters.len())?;
-        if let Some(outliers) = &self.outliers {
-            outliers.check()?;
-        }
-        self.noise.check(model.excitation_len(), model.observation_len())
-    }
-}
 
 /// One instant as the filter sees it.
 #[derive(Debug, Clone, Copy)]
@@ -165,25 +66,6 @@ pub struct Step {
     pub training_restarted: bool,
 }
 
-/// The whole state of a filter between two steps: what a checkpoint holds.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FilterState {
-    mean: DVector<f64>,
-    covariance: DMatrix<f64>,
-    noise: NoiseState,
-    outliers: Option<OutlierState>,
-    steps: u64,
-    /// the coming frame finds the prior of the motion: it is not predicted
-    fresh: bool,
-    /// the known excitation of the last frame, NaN where it was missing (N_f)
-    last_excitation: DVector<f64>,
-    /// running mean square of the known excitation, for missing samples (N_f)
-    excitation_mean_square: DVector<f64>,
-    /// running mean square of the physical state, for when it must be forgotten (n − N_θ)
-    motion_mean_square: DVector<f64>,
-    posterior: Option<ExcitationPosterior>,
-}
-
 /// A joint filter of state and parameters with fading memory and identified noise levels.
 ///
 /// One call of [`ExtendedKalmanFilter::step`] is one time step; it allocates nothing and is deterministic to the bit. The
@@ -198,64 +80,6 @@ pub struct ExtendedKalmanFilter<M> {
     follows: bool,
 }
 
-#[derive(Debug, Clone)]
-struct Workspace {
-    discretise: discretise::Workspace,
-    update: update::Workspace,
-    objective: Objective,
-    /// what a linear time-invariant model computes only once
-    constant: Option<ConstantPath>,
-    /// the transition of a linear structure with proportional damping
-    proportional: Option<proportional::Transition>,
-    /// P (n × n), but for what the unknown excitation of the step adds
-    covariance: DMatrix<f64>,
-    /// (I − GH) P (n × n)
-    corrected: DMatrix<f64>,
-    /// y predicted (n)
-    mean: DVector<f64>,
-    /// [Γg, B] (n × (1 + N_f))
-    inputs: DMatrix<f64>,
-    /// B (n × N_f)
-    input_matrix: DMatrix<f64>,
-    /// H P (N_0 × n)
-    h_p: DMatrix<f64>,
-    /// P Hᵀ (n × N_0)
-    p_ht: DMatrix<f64>,
-    /// Hᵀ (n × N_0), where the model hands it out
-    h_t: DMatrix<f64>,
-    by_h_t: Right,
-    /// H B (N_0 × N_f)
-    h_b: DMatrix<f64>,
-    /// λ B Σ_f (n × N_f)
-    input_spread: DMatrix<f64>,
-    /// A C (n × N_f)
-    cross: DMatrix<f64>,
-    /// [A C, B] (n × 2N_f), its halves swapped and transposed (2N_f × n)
-    pair: DMatrix<f64>,
-    swapped_pair: DMatrix<f64>,
-    by_pair: Right,
-    multiplier: Multiplier,
-    /// what of the predicted datum's covariance does not depend on ψ (N_0 × N_0)
-    frame_known: DMatrix<f64>,
-    /// Σ_f of the coming step and of the frame (N_f × N_f), Σ_n (N_0 × N_0)
-    step_excitation: DMatrix<f64>,
-    frame_excitation: DMatrix<f64>,
-    sensors: DMatrix<f64>,
-    /// known excitation at the older and the newer frame, and the older one with w̄ (N_f)
-    older: DVector<f64>,
-    newer: DVector<f64>,
-    /// variance of a measured excitation whose sample at the older frame is missing, else 0 (N_f)
-    missing: DVector<f64>,
-    /// growth of the known excitation over the step (N_f)
-    newer_less_older: DVector<f64>,
-    /// B_y ḟ (n)
-    ramp: DVector<f64>,
-    /// diagonal of S with the noise levels before this step moves them (N_0)
-    variances: DVector<f64>,
-    /// residuals in order
-    sorted: Vec<f64>,
-}
-
 impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// Makes a filter at its prior.
     ///
@@ -263,49 +87,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// When a setting does not fit the model or lies outside its range.
     pub fn new(model: M, settings: FilterSettings) -> Result<Self, FilterError> {
         settings.check(&model)?;
-        let (n, channels, inputs) = (model.state_len(), model.observation_len(), model.excitation_len());
-        let constant = match model.constant_transition(settings.step_s) {
-            Some(transition) => {
-                transition.check(n, inputs)?;
-                Some(ConstantPath::new(transition, &model, &settings.noise))
-            }
-            None => None,
-        };
-        let h_b = constant.as_ref().map_or_else(|| DMatrix::zeros(channels, inputs), |constant| constant.h_b.clone());
-        let work = Workspace {
-            constant,
-            proportional: model.proportional_form().map(|form| proportional::Transition::new(&form)),
-            discretise: discretise::Workspace::new(n, inputs),
-            update: update::Workspace::new(n, channels, inputs, settings.covariance_form),
-            objective: Objective::new(channels, settings.noise.parameters.len()),
-            covariance: DMatrix::zeros(n, n),
-            corrected: DMatrix::zeros(n, n),
-            mean: DVector::zeros(n),
-            inputs: DMatrix::zeros(n, 1 + inputs),
-            input_matrix: DMatrix::zeros(n, inputs),
-            h_p: DMatrix::zeros(channels, n),
-            p_ht: DMatrix::zeros(n, channels),
-            h_t: DMatrix::zeros(n, channels),
-            by_h_t: Right::new(n, channels, n.div_ceil(2)),
-            h_b,
-            input_spread: DMatrix::zeros(n, inputs),
-            cross: DMatrix::zeros(n, inputs),
-            pair: DMatrix::zeros(n, 2 * inputs),
-            swapped_pair: DMatrix::zeros(2 * inputs, n),
-            by_pair: Right::new(2 * inputs, n, 1),
-            multiplier: Multiplier::new(),
-            frame_known: DMatrix::zeros(channels, channels),
-            step_excitation: DMatrix::zeros(inputs, inputs),
-            frame_excitation: DMatrix::zeros(inputs, inputs),
-            sensors: DMatrix::zeros(channels, channels),
-            older: DVector::zeros(inputs),
-            newer: DVector::zeros(inputs),
-            missing: DVector::zeros(inputs),
-            newer_less_older: DVector::zeros(inputs),
-            ramp: DVector::zeros(n),
-            variances: DVector::zeros(channels),
-            sorted: Vec::with_capacity(settings.outliers.map_or(0, |outliers| outliers.recent_len())),
-        };
+        let work = Workspace::new(&model, &settings)?;
         let state = FilterState::start(&model, &settings);
         Ok(Self { model, settings, state, work, follows: false })
     }
@@ -489,7 +271,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             ("mean of a checkpoint", state.mean.len(), n),
             ("covariance of a checkpoint", state.covariance.len(), n * n),
             ("excitation of a checkpoint", state.last_excitation.len(), self.model.excitation_len()),
-            ("screened channels of a checkpoint", screened(&state), screened(&self.state)),
+            ("screened channels of a checkpoint", state.screened(), self.state.screened()),
             ("noise parameters of a checkpoint", state.noise.mean.len(), self.settings.noise.parameters.len()),
         ];
         for (what, found, expected) in sizes {
@@ -913,39 +695,6 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         }
         state.steps += 1;
         state.fresh = false;
-    }
-}
-
-/// Number of channels whose outliers are screened.
-fn screened(state: &FilterState) -> usize {
-    state.outliers.as_ref().map_or(0, |outliers| outliers.channels().len())
-}
-
-impl FilterState {
-    /// Returns what was known of the noise parameters.
-    pub(crate) fn noise(&self) -> &NoiseState {
-        &self.noise
-    }
-
-    /// Returns what was known of outliers.
-    pub(crate) fn outliers(&self) -> Option<&OutlierState> {
-        self.outliers.as_ref()
-    }
-
-    fn start(model: &(impl ProcessModel + ObservationModel), settings: &FilterSettings) -> Self {
-        let (n, inputs) = (model.state_len(), model.excitation_len());
-        Self {
-            mean: settings.prior_mean.clone(),
-            covariance: DMatrix::from_diagonal(&settings.prior_std.map(|std| std * std)),
-            noise: NoiseState::start(&settings.noise, &settings.noise_settings),
-            outliers: settings.outliers.map(|outliers| OutlierState::new(&outliers, model.observation_len())),
-            steps: 0,
-            fresh: true,
-            last_excitation: DVector::zeros(inputs),
-            excitation_mean_square: DVector::zeros(inputs),
-            motion_mean_square: DVector::zeros(n - model.parameter_len()),
-            posterior: model.feedthrough().map(|direct| ExcitationPosterior::new(n, direct.nrows(), inputs)),
-        }
     }
 }
 

@@ -23,17 +23,16 @@
 //!
 //! All polynomials are kept transposed: they are right factors of products with the symmetric covariance.
 
+mod accelerations;
+mod polynomials;
+
 use crate::dense::add_scaled_mut;
-use crate::discretise::{LARGEST_STEP, Series};
+use crate::discretise::LARGEST_STEP;
 use crate::product::{Extent, Left, Multiplier, Right, Sum};
+use accelerations::{Accelerations, Triangle};
 use nalgebra::{DMatrix, DVector};
+use polynomials::Polynomials;
 use std::ops::Range;
-
-/// Polynomials are shortened by no more than this, relative to their values: the rounding of a double.
-const LARGEST_LOSS: f64 = 1e-16;
-
-/// Largest degree of the polynomials, a multiple of [`POWERS`] not below the longest series.
-const LARGEST_DEGREE: usize = 44;
 
 /// Powers of `Z` that are made beforehand: about the root of the usual degree, which makes the fewest products.
 const POWERS: usize = 4;
@@ -103,34 +102,6 @@ pub(crate) struct Transition {
     through_accelerations: bool,
     accelerations: Accelerations,
     multiplier: Multiplier,
-}
-
-/// What a step through the accelerations needs.
-#[derive(Debug, Clone)]
-struct Accelerations {
-    /// `[Z, 0, h² W]ᵀ` (n × N_d)
-    transposed: DMatrix<f64>,
-    by_state: Right,
-    /// `[h q̂, ŝ]ᵀ` and `[I − Gs − (α + βG) q, q̂/h]ᵀ` (2N_d × N_d)
-    by_motion: [Right; 2],
-    /// `Σ [Z, 0, h² W]ᵀ` (n × N_d)
-    half_way: DMatrix<f64>,
-    /// `[Φ, ΨW] Σ [Z, 0, h² W]ᵀ` (2N_d × N_d)
-    whole_way: DMatrix<f64>,
-}
-
-impl Accelerations {
-    fn new(free: usize, parameters: usize) -> Self {
-        let n = 2 * free + parameters;
-        let by_motion = || Right::new(2 * free, free, 2);
-        Self {
-            transposed: DMatrix::zeros(n, free),
-            by_state: Right::new(n, free, 1 + parameters.div_ceil(2)),
-            by_motion: [by_motion(), by_motion()],
-            half_way: DMatrix::zeros(n, free),
-            whole_way: DMatrix::zeros(2 * free, free),
-        }
-    }
 }
 
 impl Transition {
@@ -521,97 +492,7 @@ impl Transition {
     }
 }
 
-/// Which entries of a covariance are wanted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Triangle {
-    Both,
-    Lower,
-}
-
-impl Accelerations {
-    /// Writes `factor · X [Φ, ΨW]ᵀ` for `X` (m × n) into the first rows and columns of `out`.
-    fn apply_to(
-        &mut self,
-        x: &DMatrix<f64>,
-        triangle: Triangle,
-        factor: f64,
-        out: &mut DMatrix<f64>,
-        multiplier: Multiplier,
-    ) {
-        let Self { by_state, by_motion: [of_x, of_v], half_way, whole_way, .. } = self;
-        let free = half_way.ncols() as isize;
-        let caused = if triangle == Triangle::Both { half_way } else { whole_way };
-        let extent = |from: isize| if triangle == Triangle::Both { Extent::Full } else { Extent::Lower { from } };
-        multiplier.multiply_to(Left::new(x), by_state, extent(-free), Sum::PLAIN, caused);
-        let free = caused.ncols();
-        let left = Left::joined(x, free..2 * free, caused);
-        let sum = Sum { factor, start: Some(x) };
-        multiplier.multiply_to_columns(left, of_x, extent(0), sum, 0, out);
-        multiplier.multiply_to_columns(left, of_v, extent(free as isize), Sum::scaled(factor), free, out);
-    }
-}
-
-/// Coefficients of `q̂(z)`, `ŝ(z)` and of the integral of `s` over `h³`, for numbers `z = −g h²`.
-struct Polynomials {
-    degree: usize,
-    impulse: [f64; LARGEST_DEGREE + 1],
-    step: [f64; LARGEST_DEGREE + 1],
-    ramp: [f64; LARGEST_DEGREE + 1],
-}
-
-impl Polynomials {
-    /// Sums up the Taylor series of a substep: with `(A_s h)^k = c_k + d_k A_s h`, it is `q̂ = Σ d_k / k!`.
-    ///
-    /// `rest`, `slope`: `−(α + βg) h = rest + slope z`; `reach`: bound of `|A_s h|`; `range`: bound of `−z`. From
-    /// `(A_s h)² = (rest + slope z) A_s h + z` follows `d_{k+1} = (rest + slope z) d_k + z d_{k−1}`.
-    fn new([rest, slope]: [f64; 2], reach: f64, range: f64) -> Self {
-        let zero = [0.0; LARGEST_DEGREE + 1];
-        let mut sums = Self { degree: 0, impulse: zero, step: zero, ramp: zero };
-        let (mut before, mut term) = (zero, zero); // d_0, d_1
-        term[0] = 1.0;
-        let mut factorial = 1.0;
-        let order = Series::choose(reach, 1.0).order;
-        for k in 1..=order {
-            factorial *= k as f64;
-            let mut next = zero;
-            for j in 0..k {
-                sums.impulse[j] += term[j] / factorial;
-                sums.step[j] += term[j] / factorial / (k + 1) as f64;
-                sums.ramp[j] += term[j] / factorial / ((k + 1) * (k + 2)) as f64;
-                next[j] += rest * term[j];
-                next[j + 1] += slope * term[j] + before[j];
-            }
-            (before, term) = (term, next);
-        }
-        let degrees = [&mut sums.impulse, &mut sums.step, &mut sums.ramp].map(|c| economise_mut(c, order, range));
-        sums.degree = degrees.into_iter().max().unwrap_or(0);
-        sums
-    }
-}
-
-/// Lowers the degree of a polynomial as far as its values for `z` from `−range` to 0 stay the same but for rounding, and
-/// returns it.
-///
-/// The term of highest degree is replaced by what remains of it less a Chebyshev polynomial of that interval, which is small
-/// all over it: the economisation of power series of Lanczos (1956, *Applied Analysis*, §7.10).
-fn economise_mut(coefficients: &mut [f64], degree: usize, range: f64) -> usize {
-    let mut lost = 0.0;
-    for n in (1..=degree).rev() {
-        lost += coefficients[n].abs() * (range / 4.0).powi(n as i32) * 2.0;
-        if lost > LARGEST_LOSS * coefficients[0].abs() {
-            return n;
-        }
-        // of the Chebyshev polynomial, from its highest coefficient to its lowest
-        let mut entry = std::mem::take(&mut coefficients[n]);
-        for k in (0..n).rev() {
-            entry *= range * ((k + 1) * (2 * k + 1)) as f64 / (2 * (n * n - k * k)) as f64;
-            coefficients[k] -= entry;
-        }
-    }
-    0
-}
-
-/// Adds `c_0 I + c_1 Z + …` by the powers of `Z`; `coefficients` are [`POWERS`] or one more.
+/// Adds `c_0 I + c_1 Z + …` by the powers of `Z`; `coefficients` are as many as these, or one more.
 fn add_polynomial(
     coefficients: &[f64],
     powers: &[DMatrix<f64>; POWERS],
