@@ -1,9 +1,9 @@
 //! The blocks against the series that applies the Jacobian to columns.
 
 use super::*;
-use crate::discretise::{self, integrate_inputs, propagate_covariance, transition_mul_narrow};
+use super::polynomials::economise_mut;
+use crate::discretise::{self, Series, integrate_inputs, propagate_covariance, transition_mul_narrow};
 use crate::model::ProcessModel;
-use std::ops::Range;
 
 const STEP_S: f64 = 0.01;
 const INPUTS: usize = 2;
