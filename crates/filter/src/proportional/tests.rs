@@ -1,7 +1,7 @@
 //! The blocks against the series that applies the Jacobian to columns.
 
-use super::*;
 use super::polynomials::economise_mut;
+use super::*;
 use crate::discretise::{self, Series, integrate_inputs, propagate_covariance, transition_mul_narrow};
 use crate::model::ProcessModel;
 
