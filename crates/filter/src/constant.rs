@@ -5,10 +5,11 @@
 //! runs in a straight line instead of being held. All of them are blocks of one matrix exponential, which needs no inverse
 //! of `A`.
 
-use crate::dense::add_scaled_mut;
+use crate::dense::{add_scaled_mut, symmetrise_mut};
 use crate::error::FilterError;
 use crate::model::ObservationModel;
 use crate::noise::{NoiseModel, NoiseTarget};
+use crate::product::{Extent, Left, Multiplier, Right, Sum};
 use nalgebra::{DMatrix, DVector};
 
 /// The exact transition of a linear time-invariant model over one time step.
@@ -216,9 +217,9 @@ impl NoiseSpread {
         let b_c = held * covariance;
         let cross = h_b * b_c.transpose();
         let mut datum = h_b * covariance * h_b.transpose();
-        crate::dense::symmetrise_mut(&mut datum);
+        symmetrise_mut(&mut datum);
         let mut state = b_c * held.transpose();
-        crate::dense::symmetrise_mut(&mut state);
+        symmetrise_mut(&mut state);
         Self { state, cross, datum }
     }
 }
@@ -235,9 +236,52 @@ pub(crate) struct ConstantPath {
     pub(crate) levels: Vec<Option<NoiseSpread>>,
     /// scratch (n)
     pub(crate) column: DVector<f64>,
+    dense: Option<DenseProducts>,
+}
+
+/// The covariance by a full `A_d`: what its products need.
+#[derive(Debug, Clone)]
+struct DenseProducts {
+    /// `A_dᵀ`
+    by_transition: Right,
+    /// `Σ A_dᵀ` and `A_d Σ` (n × n)
+    half_way: DMatrix<f64>,
+    half_way_transposed: DMatrix<f64>,
+    multiplier: Multiplier,
+}
+
+impl DenseProducts {
+    fn new(transition: &DMatrix<f64>) -> Self {
+        let n = transition.nrows();
+        let mut by_transition = Right::new(n, n, 1);
+        by_transition.pack(&transition.transpose());
+        let square = || DMatrix::zeros(n, n);
+        Self { by_transition, half_way: square(), half_way_transposed: square(), multiplier: Multiplier::new() }
+    }
+
+    /// Writes `λ A_d Σ A_dᵀ` (n × n) into `out`; both triangles get the same bits.
+    fn propagate_covariance_to(&mut self, covariance: &DMatrix<f64>, fading: f64, out: &mut DMatrix<f64>) {
+        let Self { by_transition, half_way, half_way_transposed, multiplier } = self;
+        multiplier.multiply_to(Left::new(covariance), by_transition, Extent::Full, Sum::PLAIN, half_way);
+        multiplier.transpose_to(half_way, half_way_transposed);
+        let left = Left::new(half_way_transposed);
+        multiplier.multiply_to(left, by_transition, Extent::LOWER, Sum::scaled(fading), out);
+        multiplier.mirror_lower_mut(out);
+    }
 }
 
 impl ConstantPath {
+    /// Writes `λ A_d Σ A_dᵀ` (n × n) into `out`, exactly symmetric.
+    pub(crate) fn propagate_covariance_to(&mut self, covariance: &DMatrix<f64>, fading: f64, out: &mut DMatrix<f64>) {
+        if let Some(dense) = &mut self.dense {
+            dense.propagate_covariance_to(covariance, fading, out);
+        } else {
+            self.transition.propagate_covariance_to(covariance, out, &mut self.column);
+            *out *= fading;
+            symmetrise_mut(out);
+        }
+    }
+
     pub(crate) fn new(transition: ConstantTransition, model: &impl ObservationModel, noise: &NoiseModel) -> Self {
         let held = &transition.held;
         let mut h_b = DMatrix::zeros(model.observation_len(), held.ncols());
@@ -250,7 +294,11 @@ impl ConstantPath {
             .map(|parameter| (parameter.target == NoiseTarget::Excitation).then(|| spread(&parameter.pattern)))
             .collect();
         let column = DVector::zeros(held.nrows());
-        Self { known, levels, h_b, column, transition }
+        let dense = match &transition.transition {
+            Transition::Dense(a) => Some(DenseProducts::new(a)),
+            Transition::Modal(_) => None,
+        };
+        Self { known, levels, h_b, column, dense, transition }
     }
 
     /// Adds to the covariance of the datum what the known part of `Σ_f` does; `missing` as in [`Self::add_noise_mut`].

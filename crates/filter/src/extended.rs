@@ -4,21 +4,26 @@
 //! equations (3.14) to (3.18) with the noise parameters updated before the state.
 
 mod marginal;
+mod settings;
+mod state;
+mod workspace;
+
+pub use settings::{Annealing, FilterSettings};
+pub use state::FilterState;
 
 use crate::constant::ConstantPath;
 use crate::dense::{add_quadratic_form_mut, symmetrise_mut};
 use crate::discretise::{self, InputHold, Series};
 use crate::error::FilterError;
-use crate::fading::{FadingFactor, bound_variances_mut};
+use crate::fading::bound_variances_mut;
 use crate::model::{ObservationModel, ProcessModel};
-use crate::noise::{
-    ExcitationPath, NoiseEvents, NoiseModel, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget, Objective,
-};
-use crate::outlier::{OutlierSettings, OutlierState};
+use crate::noise::{ExcitationPath, NoiseEvents, NoisePhase, NoiseRule, NoiseState, NoiseTarget};
+use crate::outlier::OutlierState;
+use crate::product::{Extent, Left, Sum};
 use crate::proportional;
-use crate::update::{self, CovarianceForm, ExcitationPosterior};
+use crate::update::{self, ExcitationPosterior, ExcitationSpread};
 use nalgebra::{DMatrix, DVector};
-use serde::{Deserialize, Serialize};
+use workspace::Workspace;
 
 /// A negative variance below this, relative to the largest, is rounding: at the start of a wide prior the smallest
 /// eigenvalue sits there in every form of the update.
@@ -26,109 +31,6 @@ const ROUNDING: f64 = 1e-12;
 
 /// Above this normalised innovation squared per entry of the state, a step is no measure of the motion.
 const CREDIBLE: f64 = 25.0;
-
-/// Start-up aid: the measurement noise is taken as `Σ_n (1 + a e^(−t/τ))`.
-///
-/// With accurate sensors and parameters that start far off, the first updates lie outside the linear range of the
-/// filter and lock it at wrong values with small deviations; softened, they do not.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Annealing {
-    /// `a`, 0 for none.
-    pub amount: f64,
-    /// `τ` (s).
-    pub time_constant_s: f64,
-}
-
-/// All that a filter needs to know besides its model.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FilterSettings {
-    /// Time between two frames (s).
-    pub step_s: f64,
-    /// Mean of the state before the first frame (n).
-    pub prior_mean: DVector<f64>,
-    /// Standard deviation of the state before the first frame (n).
-    pub prior_std: DVector<f64>,
-    /// `λ` of the state.
-    pub fading: FadingFactor,
-    /// No variance exceeds this (n, state unit²); infinite where there is no bound.
-    pub variance_bound: DVector<f64>,
-    /// The state is kept above this (n); minus infinity where there is no limit.
-    pub lower: DVector<f64>,
-    /// The state is kept below this (n).
-    pub upper: DVector<f64>,
-    /// Both noises.
-    pub noise: NoiseModel,
-    /// How the noise parameters are identified.
-    pub noise_settings: NoiseSettings,
-    /// How outliers are screened, if they are.
-    pub outliers: Option<OutlierSettings>,
-    /// Start-up aid, if any.
-    pub annealing: Option<Annealing>,
-    /// How a known excitation runs between frames.
-    pub input_hold: InputHold,
-    /// The form of the covariance update.
-    pub covariance_form: CovarianceForm,
-}
-
-impl FilterSettings {
-    /// Makes settings with no forgetting, no bounds, known noises and no start-up aid.
-    #[must_use]
-    pub fn new(step_s: f64, prior_mean: DVector<f64>, prior_std: DVector<f64>, noise: NoiseModel) -> Self {
-        let n = prior_mean.len();
-        Self {
-            step_s,
-            prior_mean,
-            prior_std,
-            fading: FadingFactor::NONE,
-            variance_bound: DVector::repeat(n, f64::INFINITY),
-            lower: DVector::repeat(n, f64::NEG_INFINITY),
-            upper: DVector::repeat(n, f64::INFINITY),
-            noise,
-            noise_settings: NoiseSettings::default(),
-            outliers: None,
-            annealing: None,
-            input_hold: InputHold::Zero,
-            covariance_form: CovarianceForm::Symmetric,
-        }
-    }
-
-    pub(crate) fn check(&self, model: &(impl ProcessModel + ObservationModel)) -> Result<(), FilterError> {
-        let n = model.state_len();
-        let vectors = [
-            ("prior mean", self.prior_mean.len()),
-            ("prior standard deviation", self.prior_std.len()),
-            ("variance bound", self.variance_bound.len()),
-            ("lower limit", self.lower.len()),
-            ("upper limit", self.upper.len()),
-        ];
-        for (what, found) in vectors {
-            if found != n {
-                return Err(FilterError::Dimension { what, found, expected: n });
-            }
-        }
-        if !(self.step_s > 0.0 && self.step_s.is_finite()) {
-            return Err(FilterError::Setting { what: "time step", found: self.step_s, allowed: "positive" });
-        }
-        for (&low, &high) in self.lower.iter().zip(&self.upper) {
-            // `clamp` panics on such limits
-            if low.is_nan() || high.is_nan() || low > high {
-                let allowed = "not above its upper limit, and a number";
-                return Err(FilterError::Setting { what: "lower limit of the state", found: low, allowed });
-            }
-        }
-        for &std in &self.prior_std {
-            if !(std >= 0.0 && std.is_finite()) {
-                let what = "prior standard deviation";
-                return Err(FilterError::Setting { what, found: std, allowed: "finite and not negative" });
-            }
-        }
-        self.noise_settings.check(self.noise.parameters.len())?;
-        if let Some(outliers) = &self.outliers {
-            outliers.check()?;
-        }
-        self.noise.check(model.excitation_len(), model.observation_len())
-    }
-}
 
 /// One instant as the filter sees it.
 #[derive(Debug, Clone, Copy)]
@@ -164,25 +66,6 @@ pub struct Step {
     pub training_restarted: bool,
 }
 
-/// The whole state of a filter between two steps: what a checkpoint holds.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FilterState {
-    mean: DVector<f64>,
-    covariance: DMatrix<f64>,
-    noise: NoiseState,
-    outliers: Option<OutlierState>,
-    steps: u64,
-    /// the coming frame finds the prior of the motion: it is not predicted
-    fresh: bool,
-    /// the known excitation of the last frame, NaN where it was missing (N_f)
-    last_excitation: DVector<f64>,
-    /// running mean square of the known excitation, for missing samples (N_f)
-    excitation_mean_square: DVector<f64>,
-    /// running mean square of the physical state, for when it must be forgotten (n − N_θ)
-    motion_mean_square: DVector<f64>,
-    posterior: Option<ExcitationPosterior>,
-}
-
 /// A joint filter of state and parameters with fading memory and identified noise levels.
 ///
 /// One call of [`ExtendedKalmanFilter::step`] is one time step; it allocates nothing and is deterministic to the bit. The
@@ -197,52 +80,6 @@ pub struct ExtendedKalmanFilter<M> {
     follows: bool,
 }
 
-#[derive(Debug, Clone)]
-struct Workspace {
-    discretise: discretise::Workspace,
-    update: update::Workspace,
-    objective: Objective,
-    /// what a linear time-invariant model computes only once
-    constant: Option<ConstantPath>,
-    /// the transition of a linear structure with proportional damping
-    proportional: Option<proportional::Transition>,
-    /// P (n × n)
-    covariance: DMatrix<f64>,
-    /// y predicted (n)
-    mean: DVector<f64>,
-    /// [Γg, B] (n × (1 + N_f))
-    inputs: DMatrix<f64>,
-    /// B (n × N_f)
-    input_matrix: DMatrix<f64>,
-    /// H P (N_0 × n)
-    h_p: DMatrix<f64>,
-    /// P Hᵀ (n × N_0)
-    p_ht: DMatrix<f64>,
-    /// H B (N_0 × N_f)
-    h_b: DMatrix<f64>,
-    /// A C (n × N_f)
-    cross: DMatrix<f64>,
-    /// what of the predicted datum's covariance does not depend on ψ (N_0 × N_0)
-    frame_known: DMatrix<f64>,
-    /// Σ_f of the coming step and of the frame (N_f × N_f), Σ_n (N_0 × N_0)
-    step_excitation: DMatrix<f64>,
-    frame_excitation: DMatrix<f64>,
-    sensors: DMatrix<f64>,
-    /// known excitation at the older and the newer frame, and the older one with w̄ (N_f)
-    older: DVector<f64>,
-    newer: DVector<f64>,
-    /// variance of a measured excitation whose sample at the older frame is missing, else 0 (N_f)
-    missing: DVector<f64>,
-    /// growth of the known excitation over the step (N_f)
-    newer_less_older: DVector<f64>,
-    /// B_y ḟ (n)
-    ramp: DVector<f64>,
-    /// diagonal of S with the noise levels before this step moves them (N_0)
-    variances: DVector<f64>,
-    /// residuals in order
-    sorted: Vec<f64>,
-}
-
 impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// Makes a filter at its prior.
     ///
@@ -250,41 +87,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// When a setting does not fit the model or lies outside its range.
     pub fn new(model: M, settings: FilterSettings) -> Result<Self, FilterError> {
         settings.check(&model)?;
-        let (n, channels, inputs) = (model.state_len(), model.observation_len(), model.excitation_len());
-        let constant = match model.constant_transition(settings.step_s) {
-            Some(transition) => {
-                transition.check(n, inputs)?;
-                Some(ConstantPath::new(transition, &model, &settings.noise))
-            }
-            None => None,
-        };
-        let h_b = constant.as_ref().map_or_else(|| DMatrix::zeros(channels, inputs), |constant| constant.h_b.clone());
-        let work = Workspace {
-            constant,
-            proportional: model.proportional_form().map(|form| proportional::Transition::new(&form)),
-            discretise: discretise::Workspace::new(n, inputs),
-            update: update::Workspace::new(n, channels, settings.covariance_form),
-            objective: Objective::new(channels, settings.noise.parameters.len()),
-            covariance: DMatrix::zeros(n, n),
-            mean: DVector::zeros(n),
-            inputs: DMatrix::zeros(n, 1 + inputs),
-            input_matrix: DMatrix::zeros(n, inputs),
-            h_p: DMatrix::zeros(channels, n),
-            p_ht: DMatrix::zeros(n, channels),
-            h_b,
-            cross: DMatrix::zeros(n, inputs),
-            frame_known: DMatrix::zeros(channels, channels),
-            step_excitation: DMatrix::zeros(inputs, inputs),
-            frame_excitation: DMatrix::zeros(inputs, inputs),
-            sensors: DMatrix::zeros(channels, channels),
-            older: DVector::zeros(inputs),
-            newer: DVector::zeros(inputs),
-            missing: DVector::zeros(inputs),
-            newer_less_older: DVector::zeros(inputs),
-            ramp: DVector::zeros(n),
-            variances: DVector::zeros(channels),
-            sorted: Vec::with_capacity(settings.outliers.map_or(0, |outliers| outliers.recent_len())),
-        };
+        let work = Workspace::new(&model, &settings)?;
         let state = FilterState::start(&model, &settings);
         Ok(Self { model, settings, state, work, follows: false })
     }
@@ -342,16 +145,20 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         if !evidence.log_evidence.is_finite() {
             return Err(FilterError::NotFinite { what: "normalised innovation", index: 0 });
         }
+        let spread = self.excitation_is_fresh().then_some(());
+        let Self { model, work, .. } = self;
         update::correct(
-            &self.model,
-            &mut self.work.mean,
-            &mut self.work.covariance,
-            &mut self.work.h_p,
-            &self.work.sensors,
-            &mut self.work.update,
+            model,
+            &mut work.mean,
+            &work.covariance,
+            spread.map(|()| ExcitationSpread { input: &work.input_matrix, scaled: &work.input_spread }),
+            &mut work.h_p,
+            &work.sensors,
+            &mut work.corrected,
+            &mut work.update,
         );
         let limited_states = self.limit_state();
-        let bounded_variances = bound_variances_mut(&mut self.work.covariance, &self.settings.variance_bound);
+        let bounded_variances = bound_variances_mut(&mut self.work.corrected, &self.settings.variance_bound);
         self.check_result()?;
         self.commit(frame, evidence.normalised_innovation_squared);
         Ok(Step {
@@ -428,6 +235,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         &self.work.update.innovation_covariance
     }
 
+    /// Returns how far from their diagonals the blocks of the last transition have entries, where they have bands: what a step
+    /// costs follows from it.
+    pub fn transition_half_bandwidth(&self) -> Option<usize> {
+        self.work.proportional.as_ref().map(proportional::Transition::half_bandwidth)
+    }
+
     /// Returns the number of frames taken.
     pub fn steps(&self) -> u64 {
         self.state.steps
@@ -458,7 +271,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             ("mean of a checkpoint", state.mean.len(), n),
             ("covariance of a checkpoint", state.covariance.len(), n * n),
             ("excitation of a checkpoint", state.last_excitation.len(), self.model.excitation_len()),
-            ("screened channels of a checkpoint", screened(&state), screened(&self.state)),
+            ("screened channels of a checkpoint", state.screened(), self.state.screened()),
             ("noise parameters of a checkpoint", state.noise.mean.len(), self.settings.noise.parameters.len()),
         ];
         for (what, found, expected) in sizes {
@@ -573,7 +386,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         if let Some(posterior) = &state.posterior {
             work.older += &posterior.mean;
         }
-        if let Some(ConstantPath { transition, column, .. }) = &mut work.constant {
+        if let Some(constant) = &mut work.constant {
+            constant.propagate_covariance_to(&state.covariance, settings.fading.value(), &mut work.covariance);
+            let ConstantPath { transition, column, .. } = constant;
             let held = &work.older;
             let ramp = (settings.input_hold == InputHold::First).then(|| {
                 work.newer_less_older.copy_from(&work.newer);
@@ -582,7 +397,6 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             });
             transition.predict_mean_mut(&mut work.mean, held, ramp, column);
             work.input_matrix.copy_from(transition.held_input());
-            transition.propagate_covariance_to(&state.covariance, &mut work.covariance, column);
             if let Some(ExcitationPosterior { cross, .. }) = &state.posterior {
                 work.cross.copy_from(cross);
                 transition.mul_mut(&mut work.cross, column);
@@ -607,7 +421,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let (step_s, rate_bound) = (settings.step_s, model.rate_bound());
         if let Some((transition, form)) = work.proportional.as_mut().zip(model.proportional_form()) {
             transition.discretise(&form, step_s, rate_bound, &mut work.inputs, ramp);
-            transition.propagate_covariance_to(&state.covariance, &mut work.covariance);
+            transition.propagate_covariance_to(&state.covariance, settings.fading.value(), &mut work.covariance);
             if let Some(cross) = cross {
                 transition.mul_mut(cross);
             }
@@ -615,6 +429,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             let (series, scratch) = (Series::choose(rate_bound, step_s), &mut work.discretise);
             discretise::integrate_inputs(model, step_s, series, &mut work.inputs, ramp, scratch);
             discretise::propagate_covariance(model, step_s, series, &state.covariance, &mut work.covariance, scratch);
+            work.covariance *= settings.fading.value();
+            symmetrise_mut(&mut work.covariance);
             if let Some(cross) = cross {
                 discretise::transition_mul_narrow(model, step_s, series, cross, scratch);
             }
@@ -626,27 +442,28 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         self.finish_prediction();
     }
 
-    /// Adds what the frame before has told of the excitation, given `A C` in the scratch space, and fades.
+    /// Adds what the frame before has told of the excitation, given `A C` in the scratch space.
     fn finish_prediction(&mut self) {
         let Self { settings, state, work, .. } = self;
-        let n = work.mean.len();
-        if let Some(ExcitationPosterior { covariance, .. }) = &state.posterior {
-            // A Σ Aᵀ + A C Bᵀ + B Cᵀ Aᵀ + B W Bᵀ: the sensors have already felt the excitation of this step. Half of the last
-            // goes to each of the two before, so that many forces cost no more than the state is long
-            for b in 0..work.cross.ncols() {
-                work.cross.column_mut(b).gemv(0.5, &work.input_matrix, &covariance.column(b), 1.0);
-            }
-            for b in 0..work.cross.ncols() {
-                for j in 0..n {
-                    for i in 0..n {
-                        work.covariance[(i, j)] += work.cross[(i, b)] * work.input_matrix[(j, b)]
-                            + work.input_matrix[(i, b)] * work.cross[(j, b)];
-                    }
-                }
-            }
+        let Some(ExcitationPosterior { covariance, .. }) = &state.posterior else {
+            return;
+        };
+        // A Σ Aᵀ + A C Bᵀ + B Cᵀ Aᵀ + B W Bᵀ: the sensors have already felt the excitation of this step. Half of the last
+        // goes to each of the two before, so that many forces cost no more than the state is long
+        let inputs = work.cross.ncols();
+        for b in 0..inputs {
+            work.cross.column_mut(b).gemv(0.5, &work.input_matrix, &covariance.column(b), 1.0);
         }
-        work.covariance *= settings.fading.value();
-        symmetrise_mut(&mut work.covariance);
+        work.pair.columns_mut(0, inputs).copy_from(&work.cross);
+        work.pair.columns_mut(inputs, inputs).copy_from(&work.input_matrix);
+        work.swapped_pair.rows_mut(0, inputs).tr_copy_from(&work.input_matrix);
+        work.swapped_pair.rows_mut(inputs, inputs).tr_copy_from(&work.cross);
+        work.by_pair.pack(&work.swapped_pair);
+        work.pair *= settings.fading.value();
+        let sum = Sum { factor: 1.0, start: Some(&work.covariance) };
+        work.multiplier.multiply_to(Left::new(&work.pair), &work.by_pair, Extent::LOWER, sum, &mut work.corrected);
+        std::mem::swap(&mut work.covariance, &mut work.corrected);
+        work.multiplier.mirror_lower_mut(&mut work.covariance);
     }
 
     /// Writes innovation, `S`, `H P` and `P`; screens outliers and moves the noise parameters in between.
@@ -657,8 +474,15 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         for (innovation, datum) in work.update.innovation.iter_mut().zip(frame.observations) {
             *innovation = datum - *innovation; // NaN where the channel is missing
         }
-        model.observation_jacobian_mul(&work.covariance, &mut work.h_p);
-        work.h_p.transpose_to(&mut work.p_ht); // P Hᵀ, because P is symmetric
+        if model.observation_matrix(&mut work.h_t) {
+            work.by_h_t.pack_sparse(&work.h_t);
+            let left = Left::new(&work.covariance);
+            work.multiplier.multiply_to(left, &work.by_h_t, Extent::Full, Sum::PLAIN, &mut work.p_ht);
+            work.h_p.tr_copy_from(&work.p_ht); // H P, because P is symmetric
+        } else {
+            model.observation_jacobian_mul(&work.covariance, &mut work.h_p);
+            work.p_ht.tr_copy_from(&work.h_p);
+        }
         model.observation_jacobian_mul(&work.p_ht, &mut work.update.innovation_covariance); // S₀
         symmetrise_mut(&mut work.update.innovation_covariance);
         if work.constant.is_none() {
@@ -763,7 +587,15 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         state.noise.update(&settings.noise, &settings.noise_settings, objective)
     }
 
-    /// Adds the noises to `P`, `H P` and `S`.
+    /// Tells whether the unknown excitation of the coming step adds to the predicted covariance by its matrix `B`.
+    ///
+    /// It does not where the frame before has told of it, or where the model is constant and has other means.
+    fn excitation_is_fresh(&self) -> bool {
+        let felt = self.state.posterior.is_some() && !self.state.fresh;
+        self.work.constant.is_none() && !felt
+    }
+
+    /// Adds the noises to `H P` and `S`, and to `P` where the model is constant.
     fn add_noises(&mut self) {
         let annealing = self.annealing();
         let Self { model, settings, state, work, .. } = self;
@@ -783,17 +615,11 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 );
             }
         } else if !felt {
-            add_quadratic_form_mut(&mut work.covariance, &work.input_matrix, &work.step_excitation, lambda);
             add_quadratic_form_mut(innovation_covariance, &work.h_b, &work.step_excitation, lambda);
-            for b in 0..work.step_excitation.ncols() {
-                for a in 0..work.step_excitation.nrows() {
-                    let weight = lambda * work.step_excitation[(a, b)];
-                    for j in 0..work.h_p.ncols() {
-                        let right = weight * work.input_matrix[(j, b)];
-                        for i in 0..work.h_p.nrows() {
-                            work.h_p[(i, j)] += work.h_b[(i, a)] * right; // H B Σ_f Bᵀ
-                        }
-                    }
+            for (b, mut spread) in work.input_spread.column_iter_mut().enumerate() {
+                spread.gemv(lambda, &work.input_matrix, &work.step_excitation.column(b), 0.0); // λ B Σ_f
+                for (j, spread) in spread.iter().enumerate() {
+                    work.h_p.column_mut(j).axpy(*spread, &work.h_b.column(b), 1.0); // + H B Σ_f Bᵀ, because Σ_f is symmetric
                 }
             }
         }
@@ -830,16 +656,16 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             if !work.mean[index].is_finite() {
                 return Err(FilterError::NotFinite { what: "mean of state", index });
             }
-            let variance = work.covariance[(index, index)];
+            let variance = work.corrected[(index, index)];
             if !variance.is_finite() {
                 return Err(FilterError::NotFinite { what: "variance of state", index });
             }
             if variance < 0.0 {
-                let largest = work.covariance.diagonal().max();
+                let largest = work.corrected.diagonal().max();
                 if variance < -ROUNDING * largest {
                     return Err(FilterError::NegativeVariance { index, variance });
                 }
-                work.covariance[(index, index)] = 0.0;
+                work.corrected[(index, index)] = 0.0;
             }
         }
         Ok(())
@@ -852,7 +678,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             update::infer_excitation(direct, &work.frame_excitation, &work.h_p, &work.update, posterior);
         }
         state.mean.copy_from(&work.mean);
-        state.covariance.copy_from(&work.covariance);
+        std::mem::swap(&mut state.covariance, &mut work.corrected);
         let weight = 1.0 / (state.steps as f64 + 1.0).min(settings.fading.memory_steps());
         for j in 0..state.last_excitation.len() {
             let known = frame.excitation[j];
@@ -869,39 +695,6 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         }
         state.steps += 1;
         state.fresh = false;
-    }
-}
-
-/// Number of channels whose outliers are screened.
-fn screened(state: &FilterState) -> usize {
-    state.outliers.as_ref().map_or(0, |outliers| outliers.channels().len())
-}
-
-impl FilterState {
-    /// Returns what was known of the noise parameters.
-    pub(crate) fn noise(&self) -> &NoiseState {
-        &self.noise
-    }
-
-    /// Returns what was known of outliers.
-    pub(crate) fn outliers(&self) -> Option<&OutlierState> {
-        self.outliers.as_ref()
-    }
-
-    fn start(model: &(impl ProcessModel + ObservationModel), settings: &FilterSettings) -> Self {
-        let (n, inputs) = (model.state_len(), model.excitation_len());
-        Self {
-            mean: settings.prior_mean.clone(),
-            covariance: DMatrix::from_diagonal(&settings.prior_std.map(|std| std * std)),
-            noise: NoiseState::start(&settings.noise, &settings.noise_settings),
-            outliers: settings.outliers.map(|outliers| OutlierState::new(&outliers, model.observation_len())),
-            steps: 0,
-            fresh: true,
-            last_excitation: DVector::zeros(inputs),
-            excitation_mean_square: DVector::zeros(inputs),
-            motion_mean_square: DVector::zeros(n - model.parameter_len()),
-            posterior: model.feedthrough().map(|direct| ExcitationPosterior::new(n, direct.nrows(), inputs)),
-        }
     }
 }
 

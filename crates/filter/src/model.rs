@@ -75,6 +75,14 @@ pub trait ObservationModel {
     /// Writes `H X` (N_0 × c) for given columns `X` (n × c), equation (2.64); overwrites all of `out`.
     fn observation_jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>);
 
+    /// Writes `Hᵀ` (n × N_0) and returns true where that is cheap: its zeros then cost nothing in `H P`.
+    ///
+    /// All other models leave the filter with [`Self::observation_jacobian_mul`].
+    fn observation_matrix(&self, transposed: &mut DMatrix<f64>) -> bool {
+        let _ = transposed;
+        false
+    }
+
     /// Returns `D` (N_0 × N_f), or `None` when it is zero.
     fn feedthrough(&self) -> Option<&DMatrix<f64>>;
 }

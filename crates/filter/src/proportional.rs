@@ -17,19 +17,22 @@
 //! *SIAM J. Comput.* 2, 60). A step too long for one series is halved to `h` often enough, and doubled again by
 //! `Φ(2t) = Φ(t)²`, `Ψ(2t) = Ψ(t) + Φ(t) Ψ(t)`. Where `G` has a narrow band, as of a shear building, so have its powers.
 //!
+//! Within one series, and with a narrow band, the step is taken through the accelerations that displacements and parameters
+//! cause, `ρ = (−G x + W θ) h²`, which are few terms each: `x ← x + h q̂ ẋ + ŝ ρ` and `ẋ ← (I − Gs − (α + βG) q) ẋ + q̂ ρ/h` are two
+//! bands a row in place of those of `[Φ, ΨW]`.
+//!
 //! All polynomials are kept transposed: they are right factors of products with the symmetric covariance.
 
+mod accelerations;
+mod polynomials;
+
 use crate::dense::add_scaled_mut;
-use crate::discretise::{LARGEST_STEP, Series};
-use crate::product::{Left, NOTHING, Spans, Strip};
+use crate::discretise::LARGEST_STEP;
+use crate::product::{Extent, Left, Multiplier, Right, Sum};
+use accelerations::{Accelerations, Triangle};
 use nalgebra::{DMatrix, DVector};
+use polynomials::Polynomials;
 use std::ops::Range;
-
-/// Polynomials are shortened by no more than this, relative to their values: the rounding of a double.
-const LARGEST_LOSS: f64 = 1e-16;
-
-/// Largest degree of the polynomials, a multiple of [`POWERS`] not below the longest series.
-const LARGEST_DEGREE: usize = 44;
 
 /// Powers of `Z` that are made beforehand: about the root of the usual degree, which makes the fewest products.
 const POWERS: usize = 4;
@@ -52,6 +55,8 @@ pub struct ProportionalForm<'m> {
     pub beta_s: f64,
     /// `W = ∂ẍ/∂θ` (N_d × N_θ, m/s²).
     pub acceleration_by_theta: &'m DMatrix<f64>,
+    /// The rows outside which each column of `W` is zero (N_θ).
+    pub reach: &'m [Range<usize>],
 }
 
 /// The transition over one time step, made anew from the form at every step in the same storage.
@@ -77,13 +82,26 @@ pub(crate) struct Transition {
     column: [DVector<f64>; 2],
     /// `[Φ, ΨW]ᵀ` (n × 2N_d)
     transposed: DMatrix<f64>,
+    /// Entries of its blocks of motion farther from their diagonals than this are zero.
+    transposed_half_bandwidth: usize,
     /// `Σ [Φ, ΨW]ᵀ` (n × 2N_d)
     half_way: DMatrix<f64>,
+    /// `[Φ, ΨW] Σ` (2N_d × n)
+    half_way_transposed: DMatrix<f64>,
+    /// `Wᵀ` (N_θ × N_d)
+    theta_by_acceleration: DMatrix<f64>,
     /// `Wᵀ sᵀ` or `Wᵀ qᵀ` (N_θ × N_d)
     by_theta: DMatrix<f64>,
     /// scratch (2N_d)
     motion: DVector<f64>,
-    strip: Strip,
+    /// right factors: `Z`, another polynomial of it, and `[Φ, ΨW]ᵀ`
+    by_z: Right,
+    by_square: Right,
+    by_transition: Right,
+    /// the step is taken through the accelerations
+    through_accelerations: bool,
+    accelerations: Accelerations,
+    multiplier: Multiplier,
 }
 
 impl Transition {
@@ -105,11 +123,24 @@ impl Transition {
             square: [square(), square()],
             column: [column(), column()],
             transposed: DMatrix::zeros(n, 2 * free),
+            transposed_half_bandwidth: 0,
             half_way: DMatrix::zeros(n, 2 * free),
+            half_way_transposed: DMatrix::zeros(2 * free, n),
+            theta_by_acceleration: DMatrix::zeros(parameters, free),
             by_theta: DMatrix::zeros(parameters, free),
             motion: DVector::zeros(2 * free),
-            strip: Strip::new(n),
+            by_z: Right::new(free, free, 1),
+            by_square: Right::new(free, free, 1),
+            by_transition: Right::new(n, 2 * free, 2 + parameters.div_ceil(2)),
+            through_accelerations: false,
+            accelerations: Accelerations::new(free, parameters),
+            multiplier: Multiplier::new(),
         }
+    }
+
+    /// Returns how far from the diagonal the polynomials of `G` have entries.
+    pub(crate) fn half_bandwidth(&self) -> usize {
+        self.half_bandwidth.min(self.impulse.nrows().saturating_sub(1))
     }
 
     /// Discretises a step of `step_s` (s); replaces `[g, B_y]` in `inputs` (n × (1 + N_f)) by `[Γ g + Γ₂ ramp, Γ B_y]`.
@@ -141,33 +172,99 @@ impl Transition {
             self.double(damping, slope);
         }
         self.integrate_inputs(damping, inputs, slope);
-        self.assemble(damping, form.acceleration_by_theta);
+        self.through_accelerations = doublings == 0 && self.is_shorter_through_accelerations(form);
+        if self.through_accelerations {
+            self.pack_accelerations(damping, form);
+        } else {
+            self.assemble(damping, form);
+            self.pack(form.reach);
+        }
+    }
+
+    /// Tells which of the two ways has fewer terms.
+    fn is_shorter_through_accelerations(&self, form: &ProportionalForm<'_>) -> bool {
+        let free = self.impulse.nrows();
+        let band = (2 * self.half_bandwidth + 1).min(free);
+        let accelerations: usize = (2 * form.half_bandwidth + 1).min(free) * free
+            + form.reach.iter().map(ExactSizeIterator::len).sum::<usize>();
+        let spread = |reach: &Range<usize>| if reach.is_empty() { 0 } else { (reach.len() + band - 1).min(free) };
+        let by_theta: usize = form.reach.iter().map(spread).sum();
+        accelerations + 4 * band * free < 2 * (2 * band * free + by_theta)
+    }
+
+    /// Packs the factors of a step through the accelerations.
+    fn pack_accelerations(&mut self, [rest, slope_of_z]: [f64; 2], form: &ProportionalForm<'_>) {
+        let Self { substep_s: h, impulse, z_impulse, step, z_step, square: [of_velocity, _], .. } = self;
+        let Accelerations { transposed, by_state, by_motion: [of_x, of_v], .. } = &mut self.accelerations;
+        let (free, half_bandwidth) = (impulse.nrows(), self.half_bandwidth);
+        for column in 0..free {
+            let rows = around(column, form.half_bandwidth, free);
+            let z = &self.powers[0].as_slice()[column * free + rows.start..column * free + rows.end];
+            transposed.column_mut(column).as_mut_slice()[rows].copy_from_slice(z);
+        }
+        for (parameter, reach) in form.reach.iter().enumerate() {
+            for row in reach.clone() {
+                let by_theta = form.acceleration_by_theta[(row, parameter)];
+                transposed[(2 * free + parameter, row)] = *h * *h * by_theta;
+            }
+        }
+        if by_state.is_packed() {
+            by_state.repack(transposed); // which entries are zero is the same at every point
+        } else {
+            by_state.pack_runs(transposed, |columns, runs| {
+                runs.push(near(&columns, form.half_bandwidth, free));
+                extend_by_reached(runs, 2 * free, form.reach, &columns);
+            });
+        }
+        for column in 0..free {
+            let rows = around(column, half_bandwidth, free);
+            let entries = column * free + rows.start..column * free + rows.end;
+            let of_q = impulse.as_slice()[entries.clone()].iter().zip(&z_impulse.as_slice()[entries.clone()]);
+            let of_q = of_q.zip(&z_step.as_slice()[entries.clone()]);
+            for (entry, ((q, z_q), z_s)) in of_velocity.as_mut_slice()[entries].iter_mut().zip(of_q) {
+                *entry = z_s + rest * q + slope_of_z * z_q;
+            }
+        }
+        add_to_diagonal(of_velocity, 1.0);
+        of_x.pack_bands([(impulse, *h), (step, 1.0)], half_bandwidth);
+        of_v.pack_bands([(of_velocity, 1.0), (impulse, 1.0 / *h)], half_bandwidth);
     }
 
     /// Writes `Z = −G h²` and its powers, transposed.
     fn raise_to_powers(&mut self, form: &ProportionalForm<'_>) {
         let [z, z_2, z_3, z_4] = &mut self.powers;
-        form.stiffness.transpose_to(z);
-        *z *= -self.substep_s * self.substep_s;
-        let band = form.half_bandwidth;
-        self.strip.multiply_to(Left::Plain(z), z, banded(z.nrows(), band, band), z_2);
-        self.strip.multiply_to(Left::Plain(z), z_2, banded(z.nrows(), band, 2 * band), z_3);
-        self.strip.multiply_to(Left::Plain(z), z_3, banded(z.nrows(), band, 3 * band), z_4);
+        let (free, band) = (z.nrows(), form.half_bandwidth);
+        let factor = -self.substep_s * self.substep_s;
+        for column in 0..free {
+            for row in around(column, band, free) {
+                z[(row, column)] = factor * form.stiffness[(column, row)];
+            }
+        }
+        self.by_z.pack_band(z, band);
+        // polynomials of one matrix commute: the narrower factor stands on the right
+        let by_z = |left: &DMatrix<f64>, bands, out: &mut DMatrix<f64>| {
+            let extent = Extent::Band(bands * band);
+            self.multiplier.multiply_to(Left::new(left), &self.by_z, extent, Sum::PLAIN, out);
+        };
+        by_z(z, 2, z_2);
+        by_z(z_2, 3, z_3);
+        by_z(z_3, 4, z_4);
     }
 
     /// Writes `q̂`, `ŝ` and what `Z` makes of them for the first substep, and the response to a ramp.
     fn evaluate(&mut self, form: &ProportionalForm<'_>, polynomials: &Polynomials, slope: Option<&[f64]>) {
-        let Self { powers, impulse, z_impulse, step, z_step, ramp, strip, .. } = self;
+        let Self { powers, impulse, z_impulse, step, z_step, ramp, by_z, by_square, multiplier, .. } = self;
         let ([scratch, _], [term, _]) = (&mut self.square, &mut self.column);
-        let (free, band) = (impulse.nrows(), form.half_bandwidth);
+        let band = form.half_bandwidth;
+        by_square.pack_band(&powers[POWERS - 1], POWERS * band);
         for (coefficients, out) in [(&polynomials.impulse, &mut *impulse), (&polynomials.step, &mut *step)] {
             // Σ c_j Z^j = (… (c_n + …) Z⁴ + c_4 + … + c_7 Z³) Z⁴ + c_0 + … + c_3 Z³
             let last = polynomials.degree.saturating_sub(1) / POWERS;
-            out.fill(0.0);
+            out.as_mut_slice().fill(0.0); // several times faster than nalgebra's
             add_polynomial(&coefficients[POWERS * last..=POWERS * (last + 1)], powers, band, out);
             for part in (0..last).rev() {
-                let reach = (polynomials.degree - POWERS * (part + 1)) * band;
-                strip.multiply_to(Left::Plain(&powers[POWERS - 1]), out, banded(free, POWERS * band, reach), scratch);
+                let extent = Extent::Band((polynomials.degree - POWERS * part) * band);
+                multiplier.multiply_to(Left::new(out), by_square, extent, Sum::PLAIN, scratch);
                 std::mem::swap(out, scratch);
                 add_polynomial(&coefficients[POWERS * part..POWERS * (part + 1)], powers, band, out);
             }
@@ -182,10 +279,11 @@ impl Transition {
                 }
             }
         }
-        let spans = banded(free, band, polynomials.degree * band);
-        strip.multiply_to(Left::Plain(&powers[0]), impulse, &spans, z_impulse);
-        strip.multiply_to(Left::Plain(&powers[0]), step, &spans, z_step);
-        self.half_bandwidth = (polynomials.degree + 1) * band;
+        let half_bandwidth = (polynomials.degree + 1) * band;
+        let extent = Extent::Band(half_bandwidth);
+        multiplier.multiply_to(Left::new(impulse), by_z, extent, Sum::PLAIN, z_impulse);
+        multiplier.multiply_to(Left::new(step), by_z, extent, Sum::PLAIN, z_step);
+        self.half_bandwidth = half_bandwidth;
     }
 
     /// Doubles the time: `Φ(2t) = Φ(t)²`, `Ψ(2t) = Ψ(t) + Φ(t) Ψ(t)`, and the same for the integral of `Ψ`.
@@ -193,7 +291,10 @@ impl Transition {
     /// `Gs` and `Gq` are doubled like `q` and `s`: to multiply these by `G` once more would raise the rounding of the slow modes to
     /// the size of the fast ones.
     fn double(&mut self, [rest, slope_of_z]: [f64; 2], slope: Option<&[f64]>) {
-        let Self { impulse, z_impulse, step, z_step, ramp, square: [product, other], column, strip, .. } = self;
+        let Self {
+            impulse, z_impulse, step, z_step, ramp, square: [product, other], column, by_square: packed, ..
+        } = self;
+        let multiplier = self.multiplier;
         if let Some(slope) = slope {
             // ∫ s(2t) = 2 ∫ s + s (2q + (α + βG) s)
             let [slope_column, growth] = column;
@@ -203,178 +304,195 @@ impl Transition {
             growth.gemv_tr(-slope_of_z, z_step, slope_column, 1.0);
             ramp.gemv_tr(1.0, step, growth, 2.0);
         }
-        let free = impulse.nrows();
-        let spans = banded(free, self.half_bandwidth, self.half_bandwidth);
-        strip.multiply_to(Left::Plain(z_step), step, &spans, product);
-        strip.multiply_to(Left::Plain(impulse), impulse, &spans, other);
-        *step *= 2.0;
-        *step += &*product;
-        *step += &*other; // s(2t) = 2s − Gs s + q²
-        strip.multiply_to(Left::Plain(z_step), z_step, &spans, product);
-        strip.multiply_to(Left::Plain(z_impulse), impulse, &spans, other);
-        *other += &*product;
-        product.copy_from(z_step);
-        *product *= 2.0;
-        add_scaled_mut(product, rest, impulse);
-        add_scaled_mut(product, slope_of_z, z_impulse);
+        let half_bandwidth = self.half_bandwidth;
+        let by_square = |left: &DMatrix<f64>, right: &Right, out: &mut DMatrix<f64>| {
+            multiplier.multiply_to(Left::new(left), right, Extent::Band(2 * half_bandwidth), Sum::PLAIN, out);
+        };
+        packed.pack_band(z_step, half_bandwidth);
+        by_square(step, packed, product);
+        by_square(z_step, packed, other);
+        let of_step = step.as_mut_slice().iter_mut().zip(z_step.as_mut_slice());
+        let of_impulse = impulse.as_slice().iter().zip(z_impulse.as_slice());
+        let of_products = product.as_mut_slice().iter_mut().zip(other.as_slice());
+        for (((s, z_s), (q, z_q)), (product, z_s_squared)) in of_step.zip(of_impulse).zip(of_products) {
+            *s = 2.0 * *s + *product; // 2s − Gs s
+            *product = 2.0 * *z_s + rest * q + slope_of_z * z_q;
+            *z_s = 2.0 * *z_s + z_s_squared; // −2Gs + (Gs)²
+        }
         add_to_diagonal(product, 2.0); // both blocks on the diagonal of Φ: 2I − 2Gs − (α + βG) q
-        *z_step *= 2.0;
-        *z_step += &*other; // −Gs(2t) = −2Gs + (Gs)² − Gq q
-        strip.multiply_to(Left::Plain(product), impulse, &spans, other);
+        packed.pack_band(impulse, half_bandwidth);
+        by_square(impulse, packed, other);
+        add_scaled_mut(step, 1.0, other); // s(2t) = 2s − Gs s + q²
+        by_square(z_impulse, packed, other);
+        add_scaled_mut(z_step, 1.0, other); // −Gs(2t) = −2Gs + (Gs)² − Gq q
+        packed.pack_band(product, half_bandwidth);
+        by_square(impulse, packed, other);
         std::mem::swap(impulse, other);
-        strip.multiply_to(Left::Plain(product), z_impulse, &spans, other);
+        by_square(z_impulse, packed, other);
         std::mem::swap(z_impulse, other); // q(2t) = (2I − 2Gs − (α + βG) q) q
-        self.half_bandwidth = (2 * self.half_bandwidth).min(free);
+        self.half_bandwidth = (2 * half_bandwidth).min(impulse.nrows());
     }
 
     /// Replaces `[g, B_y]` by `[Γ g + Γ₂ ramp, Γ B_y]`; the parameters at their ends stay zero.
     fn integrate_inputs(&mut self, [rest, slope_of_z]: [f64; 2], inputs: &mut DMatrix<f64>, slope: Option<&[f64]>) {
         let Self { substep_s: h, impulse, step, z_step, ramp, column: [velocity, acceleration], .. } = self;
-        let free = impulse.nrows();
+        let (free, half_bandwidth) = (impulse.nrows(), self.half_bandwidth);
+        // what is stored is the transpose
+        let times = |matrix: &DMatrix<f64>, row: usize, vector: &DVector<f64>| {
+            let terms = around(row, half_bandwidth, free);
+            dot(&matrix.as_slice()[row * free + terms.start..row * free + terms.end], &vector.as_slice()[terms])
+        };
         for mut column in inputs.column_iter_mut() {
             velocity.copy_from(&column.rows(0, free));
             acceleration.copy_from(&column.rows(free, free));
-            let mut moved = column.rows_mut(0, free);
-            moved.gemv_tr(*h, impulse, velocity, 0.0);
-            moved.gemv_tr(-*h * rest, step, velocity, 1.0);
-            moved.gemv_tr(-*h * slope_of_z, z_step, velocity, 1.0);
-            moved.gemv_tr(*h * *h, step, acceleration, 1.0); // (q + (α + βG) s) ẋ + s ẍ
-            let mut quickened = column.rows_mut(free, free);
-            quickened.gemv_tr(1.0, z_step, velocity, 0.0);
-            quickened.gemv_tr(*h, impulse, acceleration, 1.0); // −G s ẋ + q ẍ
+            for row in 0..free {
+                let turned = times(z_step, row, velocity); // −G s ẋ
+                let pushed = times(step, row, velocity);
+                let moved = times(impulse, row, velocity) - rest * pushed - slope_of_z * turned;
+                column[row] = *h * (moved + *h * times(step, row, acceleration)); // (q + (α + βG) s) ẋ + s ẍ
+                column[free + row] = turned + *h * times(impulse, row, acceleration); // −G s ẋ + q ẍ
+            }
         }
         if let Some(slope) = slope {
             acceleration.copy_from_slice(slope);
             let mut increment = inputs.column_mut(0);
-            increment.rows_mut(0, free).axpy(h.powi(3), ramp, 1.0);
-            increment.rows_mut(free, free).gemv_tr(*h * *h, step, acceleration, 1.0);
+            for row in 0..free {
+                increment[row] += h.powi(3) * ramp[row];
+                increment[free + row] += *h * *h * times(step, row, acceleration);
+            }
         }
     }
 
     /// Writes `[Φ, ΨW]ᵀ`.
-    fn assemble(&mut self, [rest, slope_of_z]: [f64; 2], acceleration_by_theta: &DMatrix<f64>) {
-        let Self { substep_s: h, impulse, z_impulse, step, z_step, transposed, by_theta, strip, .. } = self;
+    fn assemble(&mut self, [rest, slope_of_z]: [f64; 2], form: &ProportionalForm<'_>) {
+        let Self { substep_s: h, impulse, z_impulse, step, z_step, transposed, by_theta, by_square, .. } = self;
         let free = impulse.nrows();
         let n = transposed.nrows();
+        if self.half_bandwidth < self.transposed_half_bandwidth {
+            transposed.fill(0.0);
+        }
+        self.transposed_half_bandwidth = self.half_bandwidth;
         add_to_diagonal(z_step, 1.0); // I − Gs
         let (of_x, of_v) = transposed.as_mut_slice().split_at_mut(n * free);
         for column in 0..free {
-            let of_matrix = column * free..(column + 1) * free;
+            let rows = around(column, self.half_bandwidth, free);
+            let of_matrix = column * free + rows.start..column * free + rows.end;
             let of_transition = column * n..(column + 1) * n;
             let (x, v) = (&mut of_x[of_transition.clone()], &mut of_v[of_transition]);
+            let (x_by_x, x_by_v) = x.split_at_mut(free);
+            let (v_by_x, v_by_v) = v.split_at_mut(free);
+            let of_x = x_by_x[rows.clone()].iter_mut().zip(&mut x_by_v[rows.clone()]);
+            let of_v = v_by_x[rows.clone()].iter_mut().zip(&mut v_by_v[rows]);
             let entries = impulse.as_slice()[of_matrix.clone()].iter().zip(&z_impulse.as_slice()[of_matrix.clone()]);
-            for (row, ((q, z_q), a)) in entries.zip(&z_step.as_slice()[of_matrix]).enumerate() {
-                x[row] = *a;
-                x[free + row] = *h * q;
-                v[row] = z_q / *h; // −G q
-                v[free + row] = a + rest * q + slope_of_z * z_q; // I − Gs − (α + βG) q
+            let entries = entries.zip(&z_step.as_slice()[of_matrix]);
+            for (((x_by_x, x_by_v), (v_by_x, v_by_v)), ((q, z_q), a)) in of_x.zip(of_v).zip(entries) {
+                *x_by_x = *a;
+                *x_by_v = *h * q;
+                *v_by_x = z_q / *h; // −G q
+                *v_by_v = a + rest * q + slope_of_z * z_q; // I − Gs − (α + βG) q
             }
         }
-        let spans = banded_right(free, self.half_bandwidth);
+        for (parameter, reach) in form.reach.iter().enumerate() {
+            for row in reach.clone() {
+                self.theta_by_acceleration[(parameter, row)] = form.acceleration_by_theta[(row, parameter)];
+            }
+        }
         for (response, scale, first) in [(step, *h * *h, 0), (impulse, *h, free)] {
-            strip.multiply_to(Left::Transposed(acceleration_by_theta), response, &spans, by_theta);
-            for (column, of_column) in by_theta.column_iter().enumerate() {
-                for (parameter, entry) in of_column.iter().enumerate() {
-                    transposed[(2 * free + parameter, first + column)] = scale * entry; // (ΨW)ᵀ
-                }
+            by_square.pack_band(response, self.half_bandwidth);
+            let left = Left::new(&self.theta_by_acceleration);
+            self.multiplier.multiply_to(left, by_square, Extent::Full, Sum::scaled(scale), by_theta);
+            let entries = transposed.as_mut_slice()[first * n..].chunks_exact_mut(n);
+            for (of_column, entries) in by_theta.column_iter().zip(entries) {
+                entries[2 * free..].copy_from_slice(of_column.as_slice()); // (ΨW)ᵀ
             }
         }
     }
 
-    /// Writes `A_i Σ A_iᵀ` (n × n) into `out`, without fading and process noise, equation (2.61); both triangles get the same
-    /// bits.
-    pub(crate) fn propagate_covariance_to(&mut self, covariance: &DMatrix<f64>, out: &mut DMatrix<f64>) {
-        let Self { half_bandwidth, transposed, half_way, strip, .. } = self;
-        let (n, moving) = transposed.shape();
-        let free = moving / 2;
-        let spans = |column: usize| {
-            let [of_x, ..] = banded_right(free, *half_bandwidth)(0..0, column % free);
-            let of_v = of_x.start + free..of_x.end + free;
-            [of_x, of_v, moving..n]
-        };
-        strip.multiply_to(Left::Plain(covariance), transposed, |_, column| spans(column), half_way);
-        out.copy_from(covariance); // the parameters among themselves
-        let lower = |rows: Range<usize>, column| if rows.end <= column { NOTHING } else { spans(column) };
-        strip.multiply_to(Left::Transposed(half_way), transposed, lower, out);
-        out.view_mut((moving, 0), (n - moving, moving)).copy_from(&half_way.rows(moving, n - moving));
-        for column in 0..moving {
-            for row in column + 1..n {
-                out[(column, row)] = out[(row, column)];
+    /// Packs `[Φ, ΨW]ᵀ` without the entries that are zero by its structure.
+    fn pack(&mut self, reach: &[Range<usize>]) {
+        let (free, half_bandwidth) = (self.impulse.nrows(), self.half_bandwidth);
+        self.by_transition.pack_runs(&self.transposed, |columns, runs| {
+            let mut columns = columns;
+            if columns.start < free && columns.end > free {
+                columns = 0..free; // some of both halves
+            } else if columns.start >= free {
+                columns = columns.start - free..columns.end - free;
+            }
+            let of_x = near(&columns, half_bandwidth, free);
+            runs.push(of_x.clone());
+            runs.push(of_x.start + free..of_x.end + free);
+            extend_by_reached(runs, 2 * free, reach, &of_x);
+        });
+    }
+
+    /// Writes `λ A_i Σ A_iᵀ` (n × n) into `out`, without process noise, equation (2.61); both triangles get the same bits.
+    pub(crate) fn propagate_covariance_to(&mut self, covariance: &DMatrix<f64>, fading: f64, out: &mut DMatrix<f64>) {
+        let Self { half_way, half_way_transposed, by_transition, multiplier, .. } = self;
+        let (n, moving) = half_way.shape();
+        if self.through_accelerations {
+            self.accelerations.apply_to(covariance, Triangle::Both, 1.0, half_way, *multiplier);
+            multiplier.transpose_to(half_way, half_way_transposed);
+            self.accelerations.apply_to(half_way_transposed, Triangle::Lower, fading, out, *multiplier);
+        } else {
+            multiplier.multiply_to(Left::new(covariance), by_transition, Extent::Full, Sum::PLAIN, half_way);
+            multiplier.transpose_to(half_way, half_way_transposed);
+            let left = Left::new(half_way_transposed);
+            multiplier.multiply_to(left, by_transition, Extent::LOWER, Sum::scaled(fading), out);
+        }
+        let columns = covariance.as_slice().chunks_exact(n).zip(out.as_mut_slice().chunks_exact_mut(n));
+        for (column, (at_rest, out)) in columns.enumerate() {
+            // the parameters with the motion, and among themselves
+            let from = if column < moving { &half_way.as_slice()[column * n..(column + 1) * n] } else { at_rest };
+            for (entry, value) in out[moving..].iter_mut().zip(&from[moving..]) {
+                *entry = fading * value;
             }
         }
+        multiplier.mirror_lower_mut(out);
     }
 
     /// Replaces `X` (n × c) by `A_i X`.
     pub(crate) fn mul_mut(&mut self, x: &mut DMatrix<f64>) {
         let moving = self.motion.len();
         for mut column in x.column_iter_mut() {
-            self.motion.gemv_tr(1.0, &self.transposed, &column, 0.0);
+            self.advance(column.as_slice());
             column.rows_mut(0, moving).copy_from(&self.motion);
         }
     }
 }
 
-/// Coefficients of `q̂(z)`, `ŝ(z)` and of the integral of `s` over `h³`, for numbers `z = −g h²`.
-struct Polynomials {
-    degree: usize,
-    impulse: [f64; LARGEST_DEGREE + 1],
-    step: [f64; LARGEST_DEGREE + 1],
-    ramp: [f64; LARGEST_DEGREE + 1],
-}
-
-impl Polynomials {
-    /// Sums up the Taylor series of a substep: with `(A_s h)^k = c_k + d_k A_s h`, it is `q̂ = Σ d_k / k!`.
-    ///
-    /// `rest`, `slope`: `−(α + βg) h = rest + slope z`; `reach`: bound of `|A_s h|`; `range`: bound of `−z`. From
-    /// `(A_s h)² = (rest + slope z) A_s h + z` follows `d_{k+1} = (rest + slope z) d_k + z d_{k−1}`.
-    fn new([rest, slope]: [f64; 2], reach: f64, range: f64) -> Self {
-        let zero = [0.0; LARGEST_DEGREE + 1];
-        let mut sums = Self { degree: 0, impulse: zero, step: zero, ramp: zero };
-        let (mut before, mut term) = (zero, zero); // d_0, d_1
-        term[0] = 1.0;
-        let mut factorial = 1.0;
-        let order = Series::choose(reach, 1.0).order;
-        for k in 1..=order {
-            factorial *= k as f64;
-            let mut next = zero;
-            for j in 0..k {
-                sums.impulse[j] += term[j] / factorial;
-                sums.step[j] += term[j] / factorial / (k + 1) as f64;
-                sums.ramp[j] += term[j] / factorial / ((k + 1) * (k + 2)) as f64;
-                next[j] += rest * term[j];
-                next[j + 1] += slope * term[j] + before[j];
+impl Transition {
+    /// Writes the motion of `A_i x` for one column (n) into the scratch space.
+    fn advance(&mut self, x: &[f64]) {
+        let Self { motion, impulse, step, square: [of_velocity, _], .. } = self;
+        let (n, free, half_bandwidth, h) = (x.len(), impulse.nrows(), self.half_bandwidth, self.substep_s);
+        if !self.through_accelerations {
+            let transition = self.transposed.as_slice().chunks_exact(n);
+            for (index, (entry, transition)) in motion.iter_mut().zip(transition).enumerate() {
+                let of_x = around(index % free, half_bandwidth, free);
+                let of_v = of_x.start + free..of_x.end + free;
+                *entry = [of_x, of_v, 2 * free..n].map(|rows| dot(&transition[rows.clone()], &x[rows])).iter().sum();
             }
-            (before, term) = (term, next);
+            return;
         }
-        let degrees = [&mut sums.impulse, &mut sums.step, &mut sums.ramp].map(|c| economise_mut(c, order, range));
-        sums.degree = degrees.into_iter().max().unwrap_or(0);
-        sums
+        let [accelerations, _] = &mut self.column;
+        for (entry, by_state) in accelerations.iter_mut().zip(self.accelerations.transposed.as_slice().chunks_exact(n))
+        {
+            *entry = dot(by_state, x);
+        }
+        let velocities = &x[free..2 * free];
+        let times = |matrix: &DMatrix<f64>, row: usize, vector: &[f64]| {
+            let terms = around(row, half_bandwidth, free);
+            dot(&matrix.as_slice()[row * free + terms.start..row * free + terms.end], &vector[terms])
+        };
+        for row in 0..free {
+            let caused = accelerations.as_slice();
+            motion[row] = x[row] + h * times(impulse, row, velocities) + times(step, row, caused);
+            motion[free + row] = times(of_velocity, row, velocities) + times(impulse, row, caused) / h;
+        }
     }
 }
 
-/// Lowers the degree of a polynomial as far as its values for `z` from `−range` to 0 stay the same but for rounding, and
-/// returns it.
-///
-/// The term of highest degree is replaced by what remains of it less a Chebyshev polynomial of that interval, which is small
-/// all over it: the economisation of power series of Lanczos (1956, *Applied Analysis*, §7.10).
-fn economise_mut(coefficients: &mut [f64], degree: usize, range: f64) -> usize {
-    let mut lost = 0.0;
-    for n in (1..=degree).rev() {
-        lost += coefficients[n].abs() * (range / 4.0).powi(n as i32) * 2.0;
-        if lost > LARGEST_LOSS * coefficients[0].abs() {
-            return n;
-        }
-        // of the Chebyshev polynomial, from its highest coefficient to its lowest
-        let mut entry = std::mem::take(&mut coefficients[n]);
-        for k in (0..n).rev() {
-            entry *= range * ((k + 1) * (2 * k + 1)) as f64 / (2 * (n * n - k * k)) as f64;
-            coefficients[k] -= entry;
-        }
-    }
-    0
-}
-
-/// Adds `c_0 I + c_1 Z + …` by the powers of `Z`; `coefficients` are [`POWERS`] or one more.
+/// Adds `c_0 I + c_1 Z + …` by the powers of `Z`; `coefficients` are as many as these, or one more.
 fn add_polynomial(
     coefficients: &[f64],
     powers: &[DMatrix<f64>; POWERS],
@@ -401,18 +519,34 @@ fn add_to_diagonal(matrix: &mut DMatrix<f64>, value: f64) {
     }
 }
 
-/// Returns where terms of a product of two banded matrices (n × n) are not zero.
-fn banded(n: usize, left: usize, right: usize) -> impl Fn(Range<usize>, usize) -> Spans {
-    move |rows, column| {
-        let start = column.saturating_sub(right).max(rows.start.saturating_sub(left));
-        let end = (column + right + 1).min(rows.end + left).min(n);
-        if start < end { [start..end, 0..0, 0..0] } else { NOTHING }
-    }
+/// Returns the rows of a square matrix (n × n) not farther than `half_bandwidth` from the diagonal in some columns.
+fn near(columns: &Range<usize>, half_bandwidth: usize, n: usize) -> Range<usize> {
+    columns.start.saturating_sub(half_bandwidth)..(columns.end + half_bandwidth).min(n)
 }
 
-/// The same for a left factor without a band.
-fn banded_right(n: usize, right: usize) -> impl Fn(Range<usize>, usize) -> Spans {
-    move |_, column| [column.saturating_sub(right)..(column + right + 1).min(n), 0..0, 0..0]
+/// Adds runs, from row `first` on, of the parameters that reach one of `rows`.
+fn extend_by_reached(runs: &mut Vec<Range<usize>>, first: usize, reach: &[Range<usize>], rows: &Range<usize>) {
+    let mut last = 0..0;
+    for (parameter, reach) in reach.iter().enumerate() {
+        if reach.start < rows.end && reach.end > rows.start && !reach.is_empty() {
+            let row = first + parameter;
+            if last.end != row {
+                runs.extend((!last.is_empty()).then_some(last));
+                last = row..row;
+            }
+            last.end = row + 1;
+        }
+    }
+    runs.extend((!last.is_empty()).then_some(last));
+}
+
+/// Returns the rows of a square matrix (n × n) not farther from the diagonal than `half_bandwidth` in a column.
+fn around(column: usize, half_bandwidth: usize, n: usize) -> Range<usize> {
+    column.saturating_sub(half_bandwidth)..(column + half_bandwidth + 1).min(n)
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 #[cfg(test)]

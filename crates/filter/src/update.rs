@@ -4,9 +4,13 @@
 //! `L Lᵀ = S`, `V = L⁻¹ H P` (N_0 × n), `ν`: innovation, `ν̃ = L⁻¹ ν`. Then `G ν = Vᵀ ν̃` and `(I − GH) P = P − Vᵀ V`: the gain
 //! itself is never formed, and both triangles get the same bits.
 
-use crate::dense::{cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_transposed_mut, subtract_gram_mut};
+use crate::dense::{
+    cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut, solve_lower_transposed_mut,
+    subtract_gram_mut,
+};
 use crate::error::FilterError;
 use crate::model::ObservationModel;
+use crate::product::{Extent, Left, Multiplier, Right, Sum};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
@@ -41,6 +45,12 @@ pub(crate) struct Workspace {
     factor: DMatrix<f64>,
     /// `ν̃` (N_0)
     whitened: DVector<f64>,
+    /// `[Vᵀ, λ B Σ_f]` (n × (N_0 + N_f))
+    left: DMatrix<f64>,
+    /// `[−V; Bᵀ]` ((N_0 + N_f) × n)
+    right: DMatrix<f64>,
+    packed: Right,
+    multiplier: Multiplier,
     joseph: Option<JosephWorkspace>,
 }
 
@@ -55,13 +65,17 @@ struct JosephWorkspace {
 }
 
 impl Workspace {
-    pub(crate) fn new(n: usize, channels: usize, form: CovarianceForm) -> Self {
+    pub(crate) fn new(n: usize, channels: usize, inputs: usize, form: CovarianceForm) -> Self {
         let wide = || DMatrix::zeros(channels, n);
         Self {
             innovation_covariance: DMatrix::zeros(channels, channels),
             innovation: DVector::zeros(channels),
             factor: DMatrix::zeros(channels, channels),
             whitened: DVector::zeros(channels),
+            left: DMatrix::zeros(n, channels + inputs),
+            right: DMatrix::zeros(channels + inputs, n),
+            packed: Right::new(channels + inputs, n, 1),
+            multiplier: Multiplier::new(),
             joseph: (form == CovarianceForm::Joseph).then(|| JosephWorkspace {
                 gain_transposed: wide(),
                 h_x: wide(),
@@ -115,38 +129,72 @@ pub(crate) fn factorise(work: &mut Workspace, used: usize) -> Result<Evidence, F
     Ok(Evidence { normalised_innovation_squared, log_evidence })
 }
 
-/// Corrects mean (n) and covariance (n × n).
+/// What the unknown excitation of a step adds to the predicted covariance, `λ B Σ_f Bᵀ`, in its factors.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ExcitationSpread<'a> {
+    /// `B` (n × N_f)
+    pub input: &'a DMatrix<f64>,
+    /// `λ B Σ_f` (n × N_f)
+    pub scaled: &'a DMatrix<f64>,
+}
+
+/// Corrects the mean (n); writes the corrected covariance (n × n).
 ///
-/// `h_p`: `H P` (N_0 × n), becomes `V`. `sensors`: `Σ_n`, used by the Joseph form only. Expects [`factorise`] to have run.
+/// `covariance`: `P` (n × n) but for the `spread` of the excitation. `h_p`: `H P` (N_0 × n), with it; becomes `V`. `sensors`:
+/// `Σ_n`, used by the Joseph form only. Expects [`factorise`] to have run.
+#[expect(clippy::too_many_arguments, reason = "the terms of three equations")]
 pub(crate) fn correct(
     model: &impl ObservationModel,
     mean: &mut DVector<f64>,
-    covariance: &mut DMatrix<f64>,
+    covariance: &DMatrix<f64>,
+    spread: Option<ExcitationSpread<'_>>,
     h_p: &mut DMatrix<f64>,
     sensors: &DMatrix<f64>,
+    corrected: &mut DMatrix<f64>,
     work: &mut Workspace,
 ) {
-    solve_lower_mut(&work.factor, h_p.as_mut_slice()); // V = L⁻¹ H P
-    mean.gemv_tr(1.0, h_p, &work.whitened, 1.0); // y ← y + Vᵀ ν̃                 (2.68)
-    subtract_gram_mut(covariance, h_p); // Σ = P − Vᵀ V                           (2.70)
+    let Workspace { factor, whitened, left, right, packed, multiplier, .. } = work;
+    let (channels, n) = h_p.shape();
+    left.columns_mut(0, channels).tr_copy_from(h_p);
+    solve_lower_of_rows_mut(factor, &mut left.as_mut_slice()[..n * channels]); // Vᵀ = (H P)ᵀ L⁻ᵀ
+    let v_transposed = left.columns(0, channels);
+    mean.gemv(1.0, &v_transposed, whitened, 1.0); // y ← y + Vᵀ ν̃                 (2.68)
+    h_p.tr_copy_from(&v_transposed);
+    let (all, of_v) = (right.nrows(), h_p.as_slice().chunks_exact(channels.max(1)));
+    for (right, v) in right.as_mut_slice().chunks_exact_mut(all.max(1)).zip(of_v) {
+        for (entry, v) in right.iter_mut().zip(v) {
+            *entry = -v;
+        }
+    }
+    let mut terms = channels;
+    if let Some(ExcitationSpread { input, scaled }) = spread {
+        let inputs = input.ncols();
+        left.columns_mut(channels, inputs).copy_from(scaled);
+        right.rows_mut(channels, inputs).tr_copy_from(input);
+        terms += inputs;
+    }
+    packed.pack_runs(right, |_, runs| runs.push(0..terms));
+    let sum = Sum { factor: 1.0, start: Some(covariance) };
+    multiplier.multiply_to(Left::new(left), packed, Extent::LOWER, sum, corrected);
+    multiplier.mirror_lower_mut(corrected); // Σ = P + λ B Σ_f Bᵀ − Vᵀ V                         (2.70)
     let Some(JosephWorkspace { gain_transposed, h_x, noise_gain }) = &mut work.joseph else {
         return;
     };
     gain_transposed.copy_from(h_p);
     solve_lower_transposed_mut(&work.factor, gain_transposed.as_mut_slice()); // Gᵀ = L⁻ᵀ V
-    model.observation_jacobian_mul(covariance, h_x); // H X with X = (I − GH) P
+    model.observation_jacobian_mul(corrected, h_x); // H X with X = (I − GH) P
     noise_gain.gemm_tr(1.0, sensors, gain_transposed, 0.0); // Σ_n Gᵀ, because Σ_n is symmetric
-    let n = covariance.nrows();
+    let n = corrected.nrows();
     for j in 0..n {
         let noise = noise_gain.column(j);
         let right = gain_transposed.column(j);
         for i in 0..n {
             // X − X Hᵀ Gᵀ + G Σ_n Gᵀ
             let product = h_x.column(i).dot(&right);
-            covariance[(i, j)] += gain_transposed.column(i).dot(&noise) - product;
+            corrected[(i, j)] += gain_transposed.column(i).dot(&noise) - product;
         }
     }
-    crate::dense::symmetrise_mut(covariance);
+    crate::dense::symmetrise_mut(corrected);
 }
 
 /// What the update says of the unknown excitation of the frame's own instant, for models with a direct term.

@@ -31,6 +31,7 @@ struct Scaled {
 pub(crate) struct Sum {
     /// Values of the parts that no parameter scales.
     fixed: Vec<f64>,
+    /// By parameter, increasing.
     scaled: Vec<Scaled>,
 }
 
@@ -61,7 +62,8 @@ impl Sum {
     }
 
     fn of(&self, parameter: usize) -> impl Iterator<Item = &Entry> {
-        self.scaled.iter().filter(move |scaled| scaled.parameter == parameter).flat_map(|scaled| &scaled.entries)
+        let place = self.scaled.binary_search_by_key(&parameter, |scaled| scaled.parameter);
+        place.ok().into_iter().flat_map(|place| &self.scaled[place].entries)
     }
 }
 
@@ -204,5 +206,6 @@ fn sum(
             },
         }
     }
+    total.scaled.sort_by_key(|scaled| scaled.parameter);
     total
 }

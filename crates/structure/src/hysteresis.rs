@@ -24,12 +24,10 @@ impl Drive {
         }
     }
 
-    /// Returns one entry of `w = D ẋ` (m/s).
-    pub(crate) fn driven(self, velocity: &[f64], spring: usize) -> f64 {
-        match (self, spring.checked_sub(1)) {
-            (Self::Drift, Some(below)) => velocity[spring] - velocity[below],
-            _ => velocity[spring],
-        }
+    /// Returns which velocities make one entry of `w = D ẋ`, and with what sign.
+    pub(crate) fn of_velocities(self, spring: usize) -> [Option<(usize, f64)>; 2] {
+        let below = spring.checked_sub(1).filter(|_| self == Self::Drift);
+        [Some((spring, 1.0)), below.map(|below| (below, -1.0))]
     }
 }
 

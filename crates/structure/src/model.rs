@@ -276,6 +276,7 @@ impl ProcessModel for StructureModel {
             alpha_per_s: self.process.alpha_per_s,
             beta_s: self.process.beta_s,
             acceleration_by_theta: &self.process.acceleration_by_theta,
+            reach: &self.fixed.reach,
         })
     }
 
@@ -351,12 +352,19 @@ impl ObservationModel for StructureModel {
         let (len, free) = (self.state_len(), self.fixed.assembly.len());
         let rows = self.responses.len();
         for (column, out) in columns.as_slice().chunks_exact(len).zip(out.as_mut_slice().chunks_exact_mut(rows)) {
-            let (x, rest) = column.split_at(free);
-            let (v, theta) = rest.split_at(free);
             for (entry, response) in out.iter_mut().zip(&self.responses) {
-                *entry = response.jacobian_dot(&self.fixed, &self.observation, x, v, theta);
+                *entry = response.jacobian_dot(free, column);
             }
         }
+    }
+
+    fn observation_matrix(&self, transposed: &mut DMatrix<f64>) -> bool {
+        let (len, free) = (self.state_len(), self.fixed.assembly.len());
+        transposed.as_mut_slice().fill(0.0);
+        for (column, response) in transposed.as_mut_slice().chunks_exact_mut(len).zip(&self.responses) {
+            response.add_row_to(free, column);
+        }
+        true
     }
 
     fn feedthrough(&self) -> Option<&DMatrix<f64>> {

@@ -2,13 +2,13 @@
 #![expect(clippy::unwrap_used, clippy::panic, reason = "helpers of tests are no tests to clippy")]
 
 mod by_operator;
+mod structures;
 
 use by_operator::ByOperator;
 use nalgebra::DVector;
 use spandrel_filter::{ExtendedKalmanFilter, FilterState, Frame, ProcessModel};
 use spandrel_structure::{SimulatedFrame, Structure, StructureModel};
-use std::fmt::Write;
-use std::path::Path;
+use structures::{building_with_masses, example, parse, small_tower, text_of};
 
 /// Two filters of the same frames: by blocks and by the operator.
 struct Routes {
@@ -55,90 +55,6 @@ impl Routes {
         let difference = self.blocks.covariance() - self.operator.covariance();
         (mean, difference.component_div(&(&std * std.transpose())).amax())
     }
-}
-
-fn example(name: &str) -> Structure {
-    parse(name, &text_of(name))
-}
-
-fn text_of(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name).with_extension("toml");
-    std::fs::read_to_string(path).unwrap()
-}
-
-fn parse(name: &str, text: &str) -> Structure {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(name).with_extension("toml");
-    Structure::parse(text, &path).unwrap_or_else(|error| panic!("{name}: {error}"))
-}
-
-/// The tower with 12 beams in place of 37.
-fn small_tower() -> Structure {
-    let mut text = text_of("tower").replace("elements = 27", "elements = 8").replace("elements = 10", "elements = 4");
-    for (node, nearest) in [(4, 1), (8, 2), (13, 4), (18, 5), (23, 7), (27, 8), (32, 10), (37, 12)] {
-        text = text.replace(&format!("\"node-{node}-"), &format!("\"node-{nearest}-"));
-    }
-    parse("tower", &text)
-}
-
-/// Eight unequal storeys with parameters of every kind, under a measured push and an unmeasured ground motion that its sensors
-/// feel at once; the push runs in straight lines from frame to frame.
-fn building_with_masses() -> Structure {
-    let mut text = String::from(
-        r#"
-        [structure]
-        name = "masses"
-        sampling-rate-hz = 100
-        [model]
-        kind = "shear-building"
-        masses-kg = [2, 1.5, 1, 1, 1.2, 0.9, 1, 0.8]
-        stiffnesses-n-per-m = [2900, 2700, 2500, 2500, 2400, 2300, 2200, 2100]
-        [damping]
-        kind = "rayleigh"
-        alpha-per-s = 0.3
-        beta-s = 0.002
-        [filter]
-        half-life-s = 10
-        input-hold = "first-order"
-        "#,
-    );
-    let parameters = [
-        ("low", "stiffness", "[\"storey-1\", \"storey-2\"]"),
-        ("high", "stiffness", "[\"storey-8\"]"),
-        ("mass", "mass", "[\"floor-1\", \"floor-3\"]"),
-        ("top", "mass", "[\"floor-8\"]"),
-    ];
-    for (name, scales, of) in parameters {
-        writeln!(text, "[[parameter]]\nname = \"{name}\"\nscales = \"{scales}\"\nof = {of}").unwrap();
-    }
-    for name in ["alpha", "beta"] {
-        writeln!(text, "[[parameter]]\nname = \"{name}\"\nscales = \"damping-{name}\"").unwrap();
-    }
-    text.push_str(
-        r#"
-        [[excitation]]
-        name = "ground"
-        kind = "ground"
-        std = 1
-        [[excitation]]
-        name = "push"
-        kind = "force"
-        dof = 2
-        std = 1
-        measured-on = "push"
-        [[node]]
-        name = "node"
-        [[node.channel]]
-        name = "push"
-        quantity = "force"
-        unit = "N"
-        noise-std = 0.01
-        "#,
-    );
-    for dof in [1, 4, 8] {
-        let channel = "[[node.channel]]\nquantity = \"relative-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.05";
-        writeln!(text, "{channel}\nname = \"floor-{dof}\"\ndof = {dof}").unwrap();
-    }
-    parse("demo", &text)
 }
 
 fn structures() -> Vec<(&'static str, Structure)> {

@@ -1,6 +1,7 @@
 use super::*;
 use crate::kalman::{KalmanFilter, LinearModel};
 use crate::outlier::{OutlierTraining, Verdict};
+use crate::{CovarianceForm, FadingFactor, NoiseModel, NoiseSettings, OutlierSettings};
 
 /// A linear system without parameters, sparse enough to be checked by hand: two coupled oscillators, both sensed.
 #[derive(Debug, Clone)]

@@ -1,7 +1,8 @@
 //! The blocks against the series that applies the Jacobian to columns.
 
+use super::polynomials::economise_mut;
 use super::*;
-use crate::discretise::{self, integrate_inputs, propagate_covariance, transition_mul_narrow};
+use crate::discretise::{self, Series, integrate_inputs, propagate_covariance, transition_mul_narrow};
 use crate::model::ProcessModel;
 
 const STEP_S: f64 = 0.01;
@@ -14,6 +15,7 @@ struct Structure {
     alpha_per_s: f64,
     beta_s: f64,
     by_theta: DMatrix<f64>,
+    reach: Vec<Range<usize>>,
 }
 
 fn wave(rows: usize, columns: usize) -> DMatrix<f64> {
@@ -39,6 +41,7 @@ fn chain(masses: usize, parameters: usize, reach: f64) -> Structure {
         alpha_per_s: 0.3,
         beta_s: 1e-3 / frequency,
         by_theta: wave(masses, parameters),
+        reach: vec![0..masses; parameters],
     }
 }
 
@@ -112,6 +115,7 @@ impl ProcessModel for Structure {
             alpha_per_s: self.alpha_per_s,
             beta_s: self.beta_s,
             acceleration_by_theta: &self.by_theta,
+            reach: &self.reach,
         })
     }
 }
@@ -171,7 +175,7 @@ fn assert_agreement(what: &str, structure: &Structure, tolerance: f64) {
     }
     let (mut expected, mut found) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
     propagate_covariance(structure, STEP_S, series, &sigma, &mut expected, &mut work);
-    transition.propagate_covariance_to(&sigma, &mut found);
+    transition.propagate_covariance_to(&sigma, 1.0, &mut found);
     let error = worst_covariance(&found, &expected);
     assert!(error < tolerance, "{what}, {series:?}: covariance off by {error:e}");
     assert_eq!(found, found.transpose(), "{what}: the triangles have other bits");
@@ -231,11 +235,52 @@ fn a_band_changes_nothing_but_what_is_computed() {
         let mut transition = Transition::new(&form);
         transition.discretise(&form, STEP_S, structure.rate_bound(), &mut inputs(structure).0, None);
         let mut out = DMatrix::zeros(structure.state_len(), structure.state_len());
-        transition.propagate_covariance_to(&covariance(structure), &mut out);
+        transition.propagate_covariance_to(&covariance(structure), 1.0, &mut out);
         assert_eq!(transition.half_bandwidth < 12, structure.half_bandwidth == 1);
         out
     });
     assert!(worst_covariance(&propagated[0], &propagated[1]) < 1e-15);
+}
+
+#[test]
+fn a_reach_changes_nothing_but_what_is_computed() {
+    // parameters of two rows each, of none, and of all, not in the order of the rows
+    let reach = vec![30..32, 0..2, 12..14, 13..15, 0..0, 0..40];
+    let mut narrow = chain(40, reach.len(), 0.4);
+    for (parameter, reach) in reach.iter().enumerate() {
+        for row in (0..40).filter(|row| !reach.contains(row)) {
+            narrow.by_theta[(row, parameter)] = 0.0;
+        }
+    }
+    let wide =
+        Structure { reach: narrow.reach.clone(), by_theta: narrow.by_theta.clone(), ..chain(40, reach.len(), 0.4) };
+    narrow.reach = reach;
+    let propagated = [&narrow, &wide].map(|structure| {
+        let form = structure.proportional_form().unwrap();
+        let mut transition = Transition::new(&form);
+        transition.discretise(&form, STEP_S, structure.rate_bound(), &mut inputs(structure).0, None);
+        let mut out = DMatrix::zeros(structure.state_len(), structure.state_len());
+        transition.propagate_covariance_to(&covariance(structure), 1.0, &mut out);
+        out
+    });
+    assert!(worst_covariance(&propagated[0], &propagated[1]) < 1e-15);
+}
+
+/// A step that becomes shorter has narrower polynomials; nothing of the wider ones is left.
+#[test]
+fn a_transition_made_anew_is_that_of_a_new_one() {
+    let (fast, slow) = (chain(40, 3, 1.4), chain(40, 3, 1e-3));
+    let mut used = Transition::new(&fast.proportional_form().unwrap());
+    let propagated = |transition: &mut Transition, structure: &Structure| {
+        let form = structure.proportional_form().unwrap();
+        transition.discretise(&form, STEP_S, structure.rate_bound(), &mut inputs(structure).0, None);
+        let mut out = DMatrix::zeros(structure.state_len(), structure.state_len());
+        transition.propagate_covariance_to(&covariance(structure), 1.0, &mut out);
+        out
+    };
+    propagated(&mut used, &fast);
+    let mut new = Transition::new(&slow.proportional_form().unwrap());
+    assert_eq!(propagated(&mut used, &slow), propagated(&mut new, &slow));
 }
 
 /// `exp` on an interval, whose Taylor series needs degree 17 to the rounding of a double and Chebyshev's expansion 12.

@@ -179,9 +179,10 @@ impl Point {
     /// Writes `∂ẍ/∂θ`, with `∂R/∂θ = K_θ (x + β w)`, `C_θ ẋ`, `M ẋ` and `K w` for stiffness, dashpots, `α` and `β`.
     fn differentiate(&mut self, fixed: &Fixed) {
         let free = self.velocity.len();
-        self.restoring_by_theta.fill(0.0);
         let columns = self.restoring_by_theta.as_mut_slice().chunks_exact_mut(free);
         for ((index, parameter), column) in fixed.parameters.iter().enumerate().zip(columns) {
+            let reach = fixed.reach[index].clone();
+            column[reach.clone()].fill(0.0);
             match &parameter.scales {
                 Scales::Stiffness(_) => {
                     fixed.assembly.stiffness().mul_scaled_add_to(index, &self.stretched, column);
@@ -211,12 +212,19 @@ impl Point {
                     continue;
                 }
             }
-            fixed.divide_by_mass(column);
-            for (entry, by_mass) in column.iter_mut().zip(&self.mass_factors_inverse) {
-                *entry *= -by_mass;
+            if let Some(factor) = &fixed.mass_factor {
+                factor.solve_mut(column);
+            }
+            let by_mass = fixed.reciprocal_masses[reach.clone()].iter().zip(&self.mass_factors_inverse[reach.clone()]);
+            for (entry, (reciprocal, factor)) in column[reach].iter_mut().zip(by_mass) {
+                *entry *= -reciprocal * factor;
             }
         }
-        self.acceleration_by_theta.copy_from(&self.restoring_by_theta);
+        let columns = self.acceleration_by_theta.as_mut_slice().chunks_exact_mut(free);
+        let restoring = self.restoring_by_theta.as_slice().chunks_exact(free);
+        for ((column, restoring), reach) in columns.zip(restoring).zip(&fixed.reach) {
+            column[reach.clone()].copy_from_slice(&restoring[reach.clone()]);
+        }
         for (index, parameter) in fixed.parameters.iter().enumerate() {
             if let Scales::Mass(dofs) = &parameter.scales {
                 for dof in dofs {
@@ -298,12 +306,12 @@ fn empty<'s, const C: usize>() -> [&'s mut [f64]; C] {
 impl Fixed {
     /// Writes `w = D ẋ` (N_d): the velocity itself, unless springs answer to their own drift.
     fn drive_to(&self, velocity: &[f64], out: &mut [f64]) {
-        self.hysteresis.map_or(Drive::Floor, |law| law.drive).drive_to(velocity, out);
+        self.drive().drive_to(velocity, out);
     }
 
-    /// Returns one entry of `w = D ẋ`.
-    pub(super) fn driven(&self, velocity: &[f64], entry: usize) -> f64 {
-        self.hysteresis.map_or(Drive::Floor, |law| law.drive).driven(velocity, entry)
+    /// Returns what drives the springs: the velocities of floors, where they are not hysteretic.
+    pub(super) fn drive(&self) -> Drive {
+        self.hysteresis.map_or(Drive::Floor, |law| law.drive)
     }
 
     /// Replaces a vector `r` (N_d) by `M⁻¹ r` with the mass as designed.

@@ -36,6 +36,10 @@ pub(super) struct Acceleration {
     stiffness: Vec<f64>,
     /// `−M⁻¹ C` of dashpots or a given `C` (1/s); empty otherwise.
     damping: Vec<f64>,
+    /// Parameters that can change it.
+    parameters: Vec<usize>,
+    /// Entries of the row of the Jacobian that are not zero: which of the state, and its value. Some come more than once.
+    row: Vec<(usize, f64)>,
 }
 
 impl Response {
@@ -74,12 +78,23 @@ impl Response {
         }
     }
 
-    /// Returns the row of the Jacobian times a column with the parts `x`, `v`, `theta`.
-    pub(super) fn jacobian_dot(&self, fixed: &Fixed, point: &Point, x: &[f64], v: &[f64], theta: &[f64]) -> f64 {
+    /// Returns the row of the Jacobian times a column (n) with the parts `x`, `v` (N_d) and `θ`.
+    pub(super) fn jacobian_dot(&self, free: usize, column: &[f64]) -> f64 {
         match self {
-            Self::Displacement(terms) => terms.iter().map(|(dof, factor)| factor * x[*dof]).sum(),
-            Self::Velocity(dof) => v[*dof],
-            Self::Acceleration(acceleration) => acceleration.jacobian_dot(fixed, point, x, v, theta),
+            Self::Displacement(terms) => terms.iter().map(|(dof, factor)| factor * column[*dof]).sum(),
+            Self::Velocity(dof) => column[free + dof],
+            Self::Acceleration(Acceleration { row, .. }) => {
+                row.iter().map(|(entry, value)| value * column[*entry]).sum()
+            }
+        }
+    }
+
+    /// Adds the row of the Jacobian to a vector (n).
+    pub(super) fn add_row_to(&self, free: usize, out: &mut [f64]) {
+        match self {
+            Self::Displacement(terms) => terms.iter().for_each(|(dof, factor)| out[*dof] += factor),
+            Self::Velocity(dof) => out[free + dof] += 1.0,
+            Self::Acceleration(Acceleration { row, .. }) => row.iter().for_each(|(entry, value)| out[*entry] += value),
         }
     }
 
@@ -109,7 +124,10 @@ impl Acceleration {
         };
         let entries = columns.len();
         let damping = vec![0.0; if fixed.assembly.damping().is_some() { entries } else { 0 }];
-        Self { dof, forces, ground, by_mass, columns, stiffness: vec![0.0; entries], damping }
+        let parameters: Vec<usize> =
+            (0..fixed.reach.len()).filter(|parameter| fixed.reach[*parameter].contains(&dof)).collect();
+        let row = Vec::with_capacity(4 * entries + 1 + parameters.len());
+        Self { dof, forces, ground, by_mass, columns, stiffness: vec![0.0; entries], damping, parameters, row }
     }
 
     fn linearise(&mut self, fixed: &Fixed, point: &Point) {
@@ -135,22 +153,24 @@ impl Acceleration {
                 }
             }
         }
+        self.write_row(fixed, point);
     }
 
-    fn jacobian_dot(&self, fixed: &Fixed, point: &Point, x: &[f64], v: &[f64], theta: &[f64]) -> f64 {
-        let mut sum = -point.alpha_per_s * v[self.dof];
-        for (k, column) in self.stiffness.iter().zip(&self.columns) {
-            sum += k * (x[*column] + point.beta_s * fixed.driven(v, *column));
-        }
-        for (c, column) in self.damping.iter().zip(&self.columns) {
-            sum += c * v[*column];
-        }
-        let by_theta = if self.forces { &point.acceleration_by_theta } else { &point.restoring_by_theta };
-        for (index, theta) in theta.iter().enumerate() {
-            if fixed.reach[index].contains(&self.dof) {
-                sum += by_theta[(self.dof, index)] * theta;
+    /// Writes the row of the Jacobian, `−M⁻¹[K, α M + β K D + C]` and `∂/∂θ`.
+    fn write_row(&mut self, fixed: &Fixed, point: &Point) {
+        let free = fixed.assembly.len();
+        let row = &mut self.row;
+        row.clear();
+        row.extend(self.columns.iter().copied().zip(self.stiffness.iter().copied()));
+        if point.beta_s != 0.0 {
+            for (column, k) in self.columns.iter().zip(&self.stiffness) {
+                let of_drive = fixed.drive().of_velocities(*column).into_iter().flatten();
+                row.extend(of_drive.map(|(velocity, sign)| (free + velocity, point.beta_s * k * sign)));
             }
         }
-        sum
+        row.extend(self.columns.iter().zip(&self.damping).map(|(column, c)| (free + column, *c)));
+        row.push((free + self.dof, -point.alpha_per_s));
+        let by_theta = if self.forces { &point.acceleration_by_theta } else { &point.restoring_by_theta };
+        row.extend(self.parameters.iter().map(|parameter| (2 * free + parameter, by_theta[(self.dof, *parameter)])));
     }
 }

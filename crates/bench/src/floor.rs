@@ -1,0 +1,115 @@
+//! What a step costs at least: its operations at the rate of the processor, or its bytes at that of the memory they fit into.
+
+use crate::building::Building;
+use crate::timing::seconds;
+use pulp::{Arch, Simd, WithSimd};
+use std::hint::black_box;
+
+/// Operations and bytes of one step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Count {
+    /// Multiplications and additions in double precision.
+    pub flops: f64,
+    /// Bytes of the covariance, read once and written once.
+    pub bytes: f64,
+}
+
+impl Count {
+    /// Counts a step of the filter of a [`Building`], whose transition has bands of `half_bandwidth` beside the diagonal.
+    ///
+    /// A row of a state covariance moves by `ρ = (−G x + W θ) h²`, three terms of a chain and those of the parameters, and by
+    /// four bands: all n rows from the right, and half of the 2N rows of the motion from the left, because the result is
+    /// symmetric. The update is of rank N_0, and the ground motion of rank one, for half of the covariance. All terms of the
+    /// matrices of the structure alone, of the parameters and noise levels, and all that is of lower order, are left out.
+    #[must_use]
+    pub fn of(building: &Building, half_bandwidth: usize) -> Self {
+        let storeys = building.storeys as f64;
+        let (n, channels) = (3.0 * storeys + 2.0, building.sensed().count() as f64);
+        let of_chain = |half: f64| storeys * (2.0 * half + 1.0) - half * (half + 1.0); // entries of a band
+        let half_bandwidth = half_bandwidth as f64;
+        let by_theta = 2.0 * storeys - 1.0 + 2.0 * storeys; // each storey moves its two floors, the damping all of them
+        let by_row = of_chain(1.0) + by_theta + 4.0 * of_chain(half_bandwidth);
+        let predicted = n * by_row + storeys * by_row;
+        // H has the terms of its floor: three of x and of ẋ, two storeys and two damping parameters
+        let observed = n * channels * 10.0 + n * channels * (channels + 1.0) / 2.0;
+        let updated = n * (n + 1.0) / 2.0 * (channels + 1.0);
+        Self { flops: 2.0 * (predicted + observed + updated), bytes: 2.0 * 8.0 * n * n }
+    }
+}
+
+/// What this machine does in a second.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rates {
+    /// Multiplications and additions of doubles in registers, with the best instructions.
+    pub flops_per_s: f64,
+    /// Bytes read and written by a copy of the size asked for.
+    pub bytes_per_s: f64,
+}
+
+impl Rates {
+    /// Measures both, with copies whose source and target take `bytes` together.
+    #[must_use]
+    pub fn measure(bytes: f64) -> Self {
+        Self { flops_per_s: vector_rate(), bytes_per_s: copy_rate(bytes) }
+    }
+
+    /// Returns the least time of a step (s).
+    #[must_use]
+    pub fn least_seconds(&self, count: Count) -> f64 {
+        (count.flops / self.flops_per_s).max(count.bytes / self.bytes_per_s)
+    }
+}
+
+/// The largest rate of some trials: whatever else runs can only make one slower.
+fn best(mut rate: impl FnMut() -> f64) -> f64 {
+    (0..20).map(|_| rate()).fold(0.0, f64::max)
+}
+
+fn vector_rate() -> f64 {
+    const ROUNDS: usize = 20_000;
+    let arch = Arch::new();
+    best(|| {
+        let (time_s, flops) = seconds(|| arch.dispatch(MultiplyAndAdd { rounds: black_box(ROUNDS) }));
+        flops / time_s
+    })
+}
+
+fn copy_rate(bytes: f64) -> f64 {
+    let len = (bytes / 16.0).max(1.0) as usize;
+    let (from, mut to) = (vec![1.0_f64; len], vec![0.0_f64; len]);
+    let repeats = (4_000_000 / len).max(1);
+    best(|| {
+        let (time_s, ()) = seconds(|| {
+            for _ in 0..repeats {
+                to.copy_from_slice(black_box(&from));
+                black_box(&mut to);
+            }
+        });
+        (16 * len * repeats) as f64 / time_s
+    })
+}
+
+/// Sums that do not wait for each other: enough to fill both pipelines of any processor of today.
+const SUMS: usize = 12;
+
+struct MultiplyAndAdd {
+    rounds: usize,
+}
+
+impl WithSimd for MultiplyAndAdd {
+    type Output = f64;
+
+    /// Returns the number of operations.
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        let (factor, addend) = (simd.splat_f64s(black_box(0.999)), simd.splat_f64s(black_box(1e-3)));
+        let mut sums = [simd.splat_f64s(1.0); SUMS];
+        for _ in 0..self.rounds {
+            for sum in &mut sums {
+                *sum = simd.mul_add_e_f64s(*sum, factor, addend);
+            }
+        }
+        black_box(sums.map(|sum| simd.reduce_sum_f64s(sum)));
+        (2 * SUMS * S::F64_LANES * self.rounds) as f64
+    }
+}

@@ -1,0 +1,62 @@
+//! What a filter knows between two steps.
+
+use super::settings::FilterSettings;
+use crate::model::{ObservationModel, ProcessModel};
+use crate::noise::NoiseState;
+use crate::outlier::OutlierState;
+use crate::update::ExcitationPosterior;
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+/// The whole state of a filter between two steps: what a checkpoint holds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FilterState {
+    pub(super) mean: DVector<f64>,
+    pub(super) covariance: DMatrix<f64>,
+    pub(super) noise: NoiseState,
+    pub(super) outliers: Option<OutlierState>,
+    pub(super) steps: u64,
+    /// the coming frame finds the prior of the motion: it is not predicted
+    pub(super) fresh: bool,
+    /// the known excitation of the last frame, NaN where it was missing (N_f)
+    pub(super) last_excitation: DVector<f64>,
+    /// running mean square of the known excitation, for missing samples (N_f)
+    pub(super) excitation_mean_square: DVector<f64>,
+    /// running mean square of the physical state, for when it must be forgotten (n − N_θ)
+    pub(super) motion_mean_square: DVector<f64>,
+    pub(super) posterior: Option<ExcitationPosterior>,
+}
+
+impl FilterState {
+    /// Returns what was known of the noise parameters.
+    pub(crate) fn noise(&self) -> &NoiseState {
+        &self.noise
+    }
+
+    /// Returns what was known of outliers.
+    pub(crate) fn outliers(&self) -> Option<&OutlierState> {
+        self.outliers.as_ref()
+    }
+
+    /// Returns the number of channels whose outliers are screened.
+    pub(super) fn screened(&self) -> usize {
+        self.outliers.as_ref().map_or(0, |outliers| outliers.channels().len())
+    }
+
+    /// Returns the state at the prior.
+    pub(super) fn start(model: &(impl ProcessModel + ObservationModel), settings: &FilterSettings) -> Self {
+        let (n, inputs) = (model.state_len(), model.excitation_len());
+        Self {
+            mean: settings.prior_mean.clone(),
+            covariance: DMatrix::from_diagonal(&settings.prior_std.map(|std| std * std)),
+            noise: NoiseState::start(&settings.noise, &settings.noise_settings),
+            outliers: settings.outliers.map(|outliers| OutlierState::new(&outliers, model.observation_len())),
+            steps: 0,
+            fresh: true,
+            last_excitation: DVector::zeros(inputs),
+            excitation_mean_square: DVector::zeros(inputs),
+            motion_mean_square: DVector::zeros(n - model.parameter_len()),
+            posterior: model.feedthrough().map(|direct| ExcitationPosterior::new(n, direct.nrows(), inputs)),
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! Scratch space of a filter, made once.
+
+use super::settings::FilterSettings;
+use crate::constant::ConstantPath;
+use crate::error::FilterError;
+use crate::model::{ObservationModel, ProcessModel};
+use crate::noise::Objective;
+use crate::product::{Multiplier, Right};
+use crate::{discretise, proportional, update};
+use nalgebra::{DMatrix, DVector};
+
+#[derive(Debug, Clone)]
+pub(super) struct Workspace {
+    pub(super) discretise: discretise::Workspace,
+    pub(super) update: update::Workspace,
+    pub(super) objective: Objective,
+    /// what a linear time-invariant model computes only once
+    pub(super) constant: Option<ConstantPath>,
+    /// the transition of a linear structure with proportional damping
+    pub(super) proportional: Option<proportional::Transition>,
+    /// P (n × n), but for what the unknown excitation of the step adds
+    pub(super) covariance: DMatrix<f64>,
+    /// (I − GH) P (n × n)
+    pub(super) corrected: DMatrix<f64>,
+    /// y predicted (n)
+    pub(super) mean: DVector<f64>,
+    /// [Γg, B] (n × (1 + N_f))
+    pub(super) inputs: DMatrix<f64>,
+    /// B (n × N_f)
+    pub(super) input_matrix: DMatrix<f64>,
+    /// H P (N_0 × n)
+    pub(super) h_p: DMatrix<f64>,
+    /// P Hᵀ (n × N_0)
+    pub(super) p_ht: DMatrix<f64>,
+    /// Hᵀ (n × N_0), where the model hands it out
+    pub(super) h_t: DMatrix<f64>,
+    pub(super) by_h_t: Right,
+    /// H B (N_0 × N_f)
+    pub(super) h_b: DMatrix<f64>,
+    /// λ B Σ_f (n × N_f)
+    pub(super) input_spread: DMatrix<f64>,
+    /// A C (n × N_f)
+    pub(super) cross: DMatrix<f64>,
+    /// [A C, B] (n × 2N_f), its halves swapped and transposed (2N_f × n)
+    pub(super) pair: DMatrix<f64>,
+    pub(super) swapped_pair: DMatrix<f64>,
+    pub(super) by_pair: Right,
+    pub(super) multiplier: Multiplier,
+    /// what of the predicted datum's covariance does not depend on ψ (N_0 × N_0)
+    pub(super) frame_known: DMatrix<f64>,
+    /// Σ_f of the coming step and of the frame (N_f × N_f), Σ_n (N_0 × N_0)
+    pub(super) step_excitation: DMatrix<f64>,
+    pub(super) frame_excitation: DMatrix<f64>,
+    pub(super) sensors: DMatrix<f64>,
+    /// known excitation at the older and the newer frame, and the older one with w̄ (N_f)
+    pub(super) older: DVector<f64>,
+    pub(super) newer: DVector<f64>,
+    /// variance of a measured excitation whose sample at the older frame is missing, else 0 (N_f)
+    pub(super) missing: DVector<f64>,
+    /// growth of the known excitation over the step (N_f)
+    pub(super) newer_less_older: DVector<f64>,
+    /// B_y ḟ (n)
+    pub(super) ramp: DVector<f64>,
+    /// diagonal of S with the noise levels before this step moves them (N_0)
+    pub(super) variances: DVector<f64>,
+    /// residuals in order
+    pub(super) sorted: Vec<f64>,
+}
+
+impl Workspace {
+    /// Makes room for the steps of a model, and computes what a constant one computes only once.
+    pub(super) fn new(
+        model: &(impl ProcessModel + ObservationModel),
+        settings: &FilterSettings,
+    ) -> Result<Self, FilterError> {
+        let (n, channels, inputs) = (model.state_len(), model.observation_len(), model.excitation_len());
+        let constant = match model.constant_transition(settings.step_s) {
+            Some(transition) => {
+                transition.check(n, inputs)?;
+                Some(ConstantPath::new(transition, model, &settings.noise))
+            }
+            None => None,
+        };
+        let h_b = constant.as_ref().map_or_else(|| DMatrix::zeros(channels, inputs), |constant| constant.h_b.clone());
+        Ok(Self {
+            constant,
+            proportional: model.proportional_form().map(|form| proportional::Transition::new(&form)),
+            discretise: discretise::Workspace::new(n, inputs),
+            update: update::Workspace::new(n, channels, inputs, settings.covariance_form),
+            objective: Objective::new(channels, settings.noise.parameters.len()),
+            covariance: DMatrix::zeros(n, n),
+            corrected: DMatrix::zeros(n, n),
+            mean: DVector::zeros(n),
+            inputs: DMatrix::zeros(n, 1 + inputs),
+            input_matrix: DMatrix::zeros(n, inputs),
+            h_p: DMatrix::zeros(channels, n),
+            p_ht: DMatrix::zeros(n, channels),
+            h_t: DMatrix::zeros(n, channels),
+            by_h_t: Right::new(n, channels, n.div_ceil(2)),
+            h_b,
+            input_spread: DMatrix::zeros(n, inputs),
+            cross: DMatrix::zeros(n, inputs),
+            pair: DMatrix::zeros(n, 2 * inputs),
+            swapped_pair: DMatrix::zeros(2 * inputs, n),
+            by_pair: Right::new(2 * inputs, n, 1),
+            multiplier: Multiplier::new(),
+            frame_known: DMatrix::zeros(channels, channels),
+            step_excitation: DMatrix::zeros(inputs, inputs),
+            frame_excitation: DMatrix::zeros(inputs, inputs),
+            sensors: DMatrix::zeros(channels, channels),
+            older: DVector::zeros(inputs),
+            newer: DVector::zeros(inputs),
+            missing: DVector::zeros(inputs),
+            newer_less_older: DVector::zeros(inputs),
+            ramp: DVector::zeros(n),
+            variances: DVector::zeros(channels),
+            sorted: Vec::with_capacity(settings.outliers.map_or(0, |outliers| outliers.recent_len())),
+        })
+    }
+}

@@ -1,0 +1,110 @@
+//! Products against those of nalgebra.
+
+use super::*;
+
+fn matrix(rows: usize, columns: usize) -> DMatrix<f64> {
+    DMatrix::from_fn(rows, columns, |i, j| ((3 * i + 7 * j + 1) as f64).sin())
+}
+
+fn packed(matrix: &DMatrix<f64>) -> Right {
+    let mut right = Right::new(matrix.nrows(), matrix.ncols(), 1);
+    right.pack(matrix);
+    right
+}
+
+#[test]
+fn product_is_that_of_nalgebra() {
+    // less than a register of rows, then strips of every length, full and moved up
+    for rows in 1..80 {
+        let (left, right) = (matrix(rows, 21), matrix(21, 9));
+        let mut out = DMatrix::repeat(rows + 2, 10, 7.0);
+        Multiplier::new().multiply_to(Left::new(&left), &packed(&right), Extent::Full, Sum::scaled(0.5), &mut out);
+        let expected = 0.5 * &left * &right;
+        assert!((out.view((0, 0), (rows, 9)) - expected).amax() < 1e-14, "{rows} rows");
+        assert!(out.rows(rows, 2).iter().chain(out.column(9).iter()).all(|entry| *entry == 7.0), "{rows} rows");
+    }
+}
+
+#[test]
+fn product_is_added_to_a_matrix() {
+    let (left, right, start) = (matrix(37, 5), matrix(5, 37), matrix(37, 37));
+    let mut out = DMatrix::zeros(37, 37);
+    let sum = Sum { factor: -2.0, start: Some(&start) };
+    Multiplier::new().multiply_to(Left::new(&left), &packed(&right), Extent::Full, sum, &mut out);
+    assert!((out + 2.0 * (start + left * right)).amax() < 1e-14);
+}
+
+#[test]
+fn entries_outside_the_runs_are_left_out() {
+    let (left, full) = (matrix(20, 20), matrix(20, 6));
+    let mut right = Right::new(20, 6, 2);
+    right.pack_runs(&full, |columns, runs| runs.extend([columns.start..columns.start + 2, 19..20]));
+    let cut = DMatrix::from_fn(20, 6, |row, column| {
+        let first = column / COLUMNS * COLUMNS;
+        if (first..first + 2).contains(&row) || row == 19 { full[(row, column)] } else { 0.0 }
+    });
+    let mut out = DMatrix::zeros(20, 6);
+    Multiplier::new().multiply_to(Left::new(&left), &right, Extent::Full, Sum::PLAIN, &mut out);
+    assert!((out - left * cut).amax() < 1e-14);
+}
+
+#[test]
+fn zeros_of_a_sparse_factor_change_nothing() {
+    let left = matrix(20, 20);
+    let sparse = DMatrix::from_fn(20, 6, |row, column| if (row * column) % 5 == 1 { 1.0 + row as f64 } else { 0.0 });
+    let mut right = Right::new(20, 6, 10);
+    right.pack_sparse(&sparse);
+    let mut out = DMatrix::zeros(20, 6);
+    Multiplier::new().multiply_to(Left::new(&left), &right, Extent::Full, Sum::PLAIN, &mut out);
+    assert!((out - left * sparse).amax() < 1e-13);
+}
+
+#[test]
+fn product_of_bands_is_that_of_nalgebra_and_zero_outside() {
+    let band = |half: usize| {
+        DMatrix::from_fn(45, 45, move |i, j| if i.abs_diff(j) <= half { ((3 * i + 7 * j) as f64).sin() } else { 0.0 })
+    };
+    let (left, full) = (band(4), matrix(45, 45));
+    let mut right = Right::new(45, 45, 1);
+    right.pack_band(&full, 2); // what is outside the band does not count
+    let cut = DMatrix::from_fn(45, 45, |i, j| if i.abs_diff(j) <= 2 { full[(i, j)] } else { 0.0 });
+    let mut out = DMatrix::repeat(45, 45, 7.0);
+    Multiplier::new().multiply_to(Left::new(&left), &right, Extent::Band(6), Sum::PLAIN, &mut out);
+    assert!((out - left * cut).amax() < 1e-14);
+}
+
+#[test]
+fn joined_pieces_are_multiplied_as_one_matrix_into_the_columns_asked_for() {
+    let (first, second, by_first, by_second) = (matrix(21, 9), matrix(21, 6), matrix(6, 6), matrix(6, 6).transpose());
+    let mut right = Right::new(12, 6, 2);
+    right.pack_bands([(&by_first, 2.0), (&by_second, 1.0)], 6);
+    let left = Left::joined(&first, 3..9, &second);
+    let mut out = DMatrix::repeat(21, 8, 7.0);
+    Multiplier::new().multiply_to_columns(left, &right, Extent::Full, Sum::PLAIN, 2, &mut out);
+    let expected = 2.0 * first.columns(3, 6) * by_first + second * by_second;
+    assert!((out.columns(2, 6) - expected).amax() < 1e-13);
+    assert!(out.columns(0, 2).iter().all(|entry| *entry == 7.0));
+}
+
+#[test]
+fn lower_half_and_its_mirror_make_a_symmetric_product() {
+    for n in [3, 16, 41] {
+        let factor = matrix(n, 7);
+        let mut out = DMatrix::zeros(n, n);
+        let right = packed(&factor.transpose());
+        Multiplier::new().multiply_to(Left::new(&factor), &right, Extent::LOWER, Sum::PLAIN, &mut out);
+        Multiplier::new().mirror_lower_mut(&mut out);
+        assert!((&out - &factor * factor.transpose()).amax() < 1e-14, "{n}");
+        assert_eq!(out, out.transpose(), "{n}");
+    }
+}
+
+#[test]
+fn transpose_is_that_of_nalgebra() {
+    for (rows, columns) in [(19, 42), (16, 8), (5, 30)] {
+        let wide = matrix(rows, columns);
+        let mut out = DMatrix::zeros(columns, rows);
+        Multiplier::new().transpose_to(&wide, &mut out);
+        assert_eq!(out, wide.transpose());
+    }
+}

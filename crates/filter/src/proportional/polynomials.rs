@@ -1,0 +1,69 @@
+//! The polynomials of `Z` for one series, as numbers.
+
+use crate::discretise::Series;
+
+/// Polynomials are shortened by no more than this, relative to their values: the rounding of a double.
+const LARGEST_LOSS: f64 = 1e-16;
+
+/// Largest degree of the polynomials, a multiple of the powers that are made beforehand, not below the longest series.
+const LARGEST_DEGREE: usize = 44;
+
+/// Coefficients of `q̂(z)`, `ŝ(z)` and of the integral of `s` over `h³`, for numbers `z = −g h²`.
+pub(super) struct Polynomials {
+    pub(super) degree: usize,
+    pub(super) impulse: [f64; LARGEST_DEGREE + 1],
+    pub(super) step: [f64; LARGEST_DEGREE + 1],
+    pub(super) ramp: [f64; LARGEST_DEGREE + 1],
+}
+
+impl Polynomials {
+    /// Sums up the Taylor series of a substep: with `(A_s h)^k = c_k + d_k A_s h`, it is `q̂ = Σ d_k / k!`.
+    ///
+    /// `rest`, `slope`: `−(α + βg) h = rest + slope z`; `reach`: bound of `|A_s h|`; `range`: bound of `−z`. From
+    /// `(A_s h)² = (rest + slope z) A_s h + z` follows `d_{k+1} = (rest + slope z) d_k + z d_{k−1}`.
+    pub(super) fn new([rest, slope]: [f64; 2], reach: f64, range: f64) -> Self {
+        let zero = [0.0; LARGEST_DEGREE + 1];
+        let mut sums = Self { degree: 0, impulse: zero, step: zero, ramp: zero };
+        let (mut before, mut term) = (zero, zero); // d_0, d_1
+        term[0] = 1.0;
+        let mut factorial = 1.0;
+        let order = Series::choose(reach, 1.0).order;
+        for k in 1..=order {
+            factorial *= k as f64;
+            let mut next = zero;
+            for j in 0..k {
+                sums.impulse[j] += term[j] / factorial;
+                sums.step[j] += term[j] / factorial / (k + 1) as f64;
+                sums.ramp[j] += term[j] / factorial / ((k + 1) * (k + 2)) as f64;
+                next[j] += rest * term[j];
+                next[j + 1] += slope * term[j] + before[j];
+            }
+            (before, term) = (term, next);
+        }
+        let degrees = [&mut sums.impulse, &mut sums.step, &mut sums.ramp].map(|c| economise_mut(c, order, range));
+        sums.degree = degrees.into_iter().max().unwrap_or(0);
+        sums
+    }
+}
+
+/// Lowers the degree of a polynomial as far as its values for `z` from `−range` to 0 stay the same but for rounding, and
+/// returns it.
+///
+/// The term of highest degree is replaced by what remains of it less a Chebyshev polynomial of that interval, which is small
+/// all over it: the economisation of power series of Lanczos (1956, *Applied Analysis*, §7.10).
+pub(super) fn economise_mut(coefficients: &mut [f64], degree: usize, range: f64) -> usize {
+    let mut lost = 0.0;
+    for n in (1..=degree).rev() {
+        lost += coefficients[n].abs() * (range / 4.0).powi(n as i32) * 2.0;
+        if lost > LARGEST_LOSS * coefficients[0].abs() {
+            return n;
+        }
+        // of the Chebyshev polynomial, from its highest coefficient to its lowest
+        let mut entry = std::mem::take(&mut coefficients[n]);
+        for k in (0..n).rev() {
+            entry *= range * ((k + 1) * (2 * k + 1)) as f64 / (2 * (n * n - k * k)) as f64;
+            coefficients[k] -= entry;
+        }
+    }
+    0
+}
