@@ -13,8 +13,9 @@ use spandrel_filter::{ExtendedKalmanFilter, FilterSettings, Frame, ObservationMo
 use spandrel_structure::StructureModel;
 use std::hint::black_box;
 
-/// Steps that are taken together from a state at work: few enough to be forgotten, many enough to be measured.
-const STEPS: usize = 10;
+/// Steps that are taken together from a state at work: so many that the first ones, which find all memory cold, do not count, and
+/// so few that a filter without samples has not diverged.
+const STEPS: usize = 100;
 
 fn warm(building: &Building, settings: FilterSettings) -> ExtendedKalmanFilter<StructureModel> {
     let mut filter = ExtendedKalmanFilter::new(building.structure.model(), settings).expect("the settings fit");
@@ -51,7 +52,7 @@ fn stages(criterion: &mut Criterion) {
                             black_box(filter.step(frame).expect("the filter follows"));
                         }
                     },
-                    BatchSize::LargeInput,
+                    BatchSize::PerIteration,
                 );
             });
         }

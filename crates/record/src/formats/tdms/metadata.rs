@@ -16,7 +16,7 @@ const DAQMX_DIGITAL_LINE: u32 = 0x126A;
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Index {
     /// One value after the other.
-    Values { kind: u32, count: u64, bytes: u64 },
+    Values { kind: u32, bytes: u64 },
     /// Within strides that the channels of a device share.
     Daqmx { count: u64, scalers: Vec<Scaler>, widths: Vec<u32> },
 }
@@ -120,7 +120,7 @@ fn values(data: &mut Bytes<'_>) -> Result<Index, Fault> {
             .ok_or_else(|| Fault::at_byte(start, "number of values", count, "one whose bytes can be counted"))?,
         (other, None) => return Err(Fault::at_byte(start, "type of values", format!("{other:#x}"), KINDS)),
     };
-    Ok(Index::Values { kind, count, bytes })
+    Ok(Index::Values { kind, bytes })
 }
 
 fn daqmx(data: &mut Bytes<'_>, code: u32) -> Result<Index, Fault> {
