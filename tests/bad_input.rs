@@ -15,12 +15,15 @@ const BAD_INPUT: i32 = 2;
 const FAILED: i32 = 1;
 
 /// All subcommands.
-const SUBCOMMANDS: [&str; 15] = [
+const SUBCOMMANDS: [&str; 19] = [
     "demo",
     "run",
     "ingest",
     "identify",
+    "fuse",
     "alert",
+    "history",
+    "notify",
     "dashboard",
     "simulate",
     "replay",
@@ -30,6 +33,7 @@ const SUBCOMMANDS: [&str; 15] = [
     "info",
     "convert",
     "validate",
+    "bench",
     "watch",
 ];
 
