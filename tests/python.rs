@@ -49,8 +49,7 @@ async fn a_script_hears_alerts_and_draws_what_was() {
     site.wait_for_services(&bus).await;
     let record = site.simulate(60.0);
     let listening = Process::start(&mut client(&python, &site, &["--seconds", "20"]));
-    // a script joins within a moment; what is put before that it does not hear
-    tokio::time::sleep(std::time::Duration::from_secs(3)).await;
+    listening.wait_for_output("that it listens", |said| said.contains("listening below"));
     site.replay(&record, "max").wait().expect_code(0);
     listening.wait_for_output("alert of storey-2", |said| {
         said.contains("ALERT storey-2 raised: storey-2 has lost") && said.contains("storey-1 1.0")

@@ -44,6 +44,7 @@ def listen(session, below, seconds):
         print(f"ALERT {m['parameter']} {m['state']}: {m['why']}", flush=True)
 
     kept = [session.declare_subscriber(f"{below}/parameter/*", parameter), session.declare_subscriber(f"{below}/alert/*", alert)]
+    print(f"listening below {below}", flush=True)
     end = time.monotonic() + (seconds if seconds is not None else float("inf"))
     try:
         while time.monotonic() < end:

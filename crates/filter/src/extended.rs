@@ -145,13 +145,13 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         if !evidence.log_evidence.is_finite() {
             return Err(FilterError::NotFinite { what: "normalised innovation", index: 0 });
         }
-        let spread = self.excitation_is_fresh().then_some(());
+        let is_fresh = self.excitation_is_fresh();
         let Self { model, work, .. } = self;
         update::correct(
             model,
             &mut work.mean,
             &work.covariance,
-            spread.map(|()| ExcitationSpread { input: &work.input_matrix, scaled: &work.input_spread }),
+            is_fresh.then_some(ExcitationSpread { input: &work.input_matrix, scaled: &work.input_spread }),
             &mut work.h_p,
             &work.sensors,
             &mut work.corrected,
