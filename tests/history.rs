@@ -9,9 +9,8 @@ use spandrel_bus::{AlertState, Bus, HistoryLog, HistorySpan, Name, Service};
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
-use std::process::Command;
 use std::time::Duration;
-use support::{DEADLINE, Drops, Process, Site, two_storeys, within};
+use support::{DEADLINE, Drops, Process, Site, SmallDisk, two_storeys, within};
 
 /// Damage of storey 2 at 40 s; a rule against the design.
 const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
@@ -117,33 +116,12 @@ async fn what_was_is_still_there_when_all_has_been_started_anew() {
     assert!(!alerts["changes"].as_array().unwrap().is_empty(), "{alerts}");
 }
 
-/// Without the right to mount a file system of its own the test says that it was skipped.
-fn small_disk(folder: &Path) -> Option<Mounted> {
-    let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", "size=2m", "tmpfs"]).arg(folder).output();
-    if mounted.is_ok_and(|output| output.status.success()) {
-        return Some(Mounted(folder.to_owned()));
-    }
-    let why = "skipped: a small disk cannot be mounted here";
-    assert!(std::env::var_os("REQUIRE_ALL_TESTS").is_none(), "{why}");
-    println!("{why}");
-    None
-}
-
-struct Mounted(std::path::PathBuf);
-
-impl Drop for Mounted {
-    fn drop(&mut self) {
-        // it goes with the machine at the latest
-        let _ = Command::new("umount").arg("-l").arg(&self.0).status();
-    }
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
     let site = Site::with(&two_storeys(DAMAGED));
     let disk = site.folder().join("disk");
     std::fs::create_dir(&disk).unwrap();
-    let Some(_mounted) = small_disk(&disk) else { return };
+    let Some(_mounted) = SmallDisk::or_skip(&disk, "2m") else { return };
     let configuration = configuration(&site, &disk.join("house.sqlite"));
     let services = Process::start(site.listening("run").arg("--config").arg(&configuration).args(["--http", "none"]));
     services.wait_for_log("ready structures=1");

@@ -9,7 +9,7 @@ mod support;
 
 use std::path::Path;
 use std::process::{Command, Output};
-use support::{Process, Site, two_storeys, within};
+use support::{Process, Secured, Site, two_storeys, within};
 
 const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
                        [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
@@ -32,6 +32,27 @@ fn client(python: &str, site: &Site, arguments: &[&str]) -> Command {
     let root = site.keys().root().to_string();
     command.args(["house", "--root", &root, "--connect", site.endpoint()]).args(arguments);
     command
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_script_with_a_certificate_hears_what_a_viewer_may() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let structure = folder.path().join("house.toml");
+    std::fs::write(&structure, two_storeys(DAMAGED)).unwrap();
+    let site = Secured::new(&structure, &["server.main", "gateway.house", "viewer.ada"]);
+    let _router = site.router();
+    let server = Process::start(site.connecting("server.main", "run").args(["--http", "none"]));
+    server.wait_for_log("ready structures=1");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../clients/python/watch.py");
+    let mut client = Command::new(python);
+    client.arg(script).args(["house", "--seconds", "20", "--connect", site.endpoint(), "--certificate"]);
+    let listening = Process::start(client.arg(site.certificate("viewer.ada")));
+    listening.wait_for_output("that it listens", |said| said.contains("listening below"));
+    let mut simulate = site.connecting("gateway.house", "simulate");
+    Process::start(simulate.args(["--speed", "max", "--duration", "60"])).wait().expect_code(0);
+    listening.wait_for_output("alert of storey-2", |said| said.contains("ALERT storey-2 raised"));
+    server.stop().expect_code(0);
 }
 
 fn text(output: &Output) -> String {

@@ -4,8 +4,10 @@
 
 mod support;
 
-use spandrel_bus::Service;
-use support::{EstimateReader, Identified, Process, Site, assert_same_bits, five_storeys, two_storeys, within};
+use spandrel_bus::{Acknowledgement, AlertMessage, AlertState, Description, Name, Service};
+use support::{
+    DEADLINE, EstimateReader, Identified, Process, Site, assert_same_bits, five_storeys, two_storeys, within,
+};
 
 /// Longer than what may be on the way, so that a replay cannot end before it has been read from.
 const RECORD_S: f64 = 100.0;
@@ -73,6 +75,83 @@ async fn a_replay_that_is_stopped_ends_its_nodes_where_they_are() {
     let found = reader.read_to_end(1).await;
     assert!(found.len() < record.len(), "stopped on the way");
     assert_same_bits("up to the stop", &expected.parameters, &expected.frames[..found.len()], found);
+    services.stop().expect_code(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hangup_reads_the_rules_again_and_changes_no_bit_of_what_is_identified() {
+    let rule =
+        |loss: f64| format!("[[alert]]\nparameters = \"all\"\nloss = {loss}\ncredibility = 0.99\nsustain-s = 3\n");
+    let site = Site::with(&two_storeys(&rule(0.05)));
+    let record = site.simulate(RECORD_S);
+    let expected = site.estimate(&record);
+    let services = site.run();
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let mut reader = EstimateReader::join(&bus, &site.keys()).await;
+    let replay = site.replay(&record, "20");
+    reader.read_frames(500).await;
+    // what is wrong is told and changes nothing
+    std::fs::write(site.structure_file(), two_storeys("[[alert]]\nparameters = \"none of them\"\n")).unwrap();
+    services.hang_up();
+    services.wait_for_log("nothing changes");
+    reader.read_frames(1000).await;
+    std::fs::write(site.structure_file(), two_storeys(&rule(0.2))).unwrap();
+    services.hang_up();
+    services.wait_for_log("services begin anew");
+    replay.wait().expect_code(0);
+    let found = reader.read_to_end(1).await;
+    assert_same_bits("with another rule", &expected.parameters, &expected.frames, found);
+    let answers = bus.ask::<Description>(&site.keys().description(), DEADLINE).await.unwrap();
+    assert!(answers.iter().any(|(_, description)| description.text.contains("loss = 0.2")), "{answers:?}");
+    services.stop().expect_code(0);
+}
+
+/// It ended without a word, and whoever had been told of it was never told that it was over; any edit forgot who had seen it.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hangup_keeps_an_acknowledgement_and_ends_what_the_new_rule_does_not_raise() {
+    let with = |loss: f64| {
+        let rule = format!("[[alert]]\nparameters = \"all\"\nloss = {loss}\ncredibility = 0.99\nsustain-s = 3\n");
+        let damage = "[[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
+        two_storeys(&format!("{rule}{damage}"))
+    };
+    let site = Site::with(&with(0.05));
+    let record = site.simulate(60.0);
+    let services = site.run();
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let parameter = Name::new("storey-2").unwrap();
+    let alerts = bus.subscribe::<AlertMessage>(site.keys().alert(&parameter), 256).await.unwrap();
+    let until = async |state: AlertState| loop {
+        let (_, alert) = alerts.messages().recv_async().await.unwrap();
+        if alert.state == state {
+            return alert;
+        }
+    };
+    site.replay(&record, "max").wait().expect_code(0);
+    within("a raised alert", until(AlertState::Raised)).await;
+    let person = bus.publish_display(site.keys().acknowledge(&parameter)).await.unwrap();
+    let seen = Acknowledgement {
+        structure: Name::new("house").unwrap(),
+        parameter: parameter.clone(),
+        time_ns: 0,
+        who: "anna".to_owned(),
+        note: String::new(),
+    };
+    person.put(&seen).await.unwrap();
+    within("an acknowledged alert", until(AlertState::Acknowledged)).await;
+
+    std::fs::write(site.structure_file(), format!("# anna has been there\n{}", with(0.05))).unwrap();
+    services.hang_up();
+    let again = within("what stands", until(AlertState::Acknowledged)).await;
+    assert_eq!(again.acknowledged_by.as_deref(), Some("anna"));
+
+    std::fs::write(site.structure_file(), with(0.3)).unwrap();
+    services.hang_up();
+    let ended = within("its end", until(AlertState::Cleared)).await;
+    let why = "alert of storey-2 has ended: its rule was changed from more than 5 % with probability 0.990 for 3 s to more than 30 %";
+    assert!(ended.why.starts_with(why), "{}", ended.why);
+    services.wait_for_log("alert of storey-2 has ended");
     services.stop().expect_code(0);
 }
 

@@ -182,10 +182,11 @@ async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
     let drops = Drops::watch(&bus, &keys).await;
 
     let id = |text: &str| Name::new(text).unwrap();
-    let settings = IngestSettings { id: id("ingest"), epoch: 1, waiting: Waiting::Limited(Duration::from_secs(2)) };
+    let waiting = Waiting::Limited(Duration::from_secs(2));
+    let settings = IngestSettings { id: id("ingest"), epoch: 1, waiting, recording: None };
     let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
-    let alert = AlertService::start(structure, None, &bus, keys.clone(), id("alert")).await.unwrap();
-    let identify = IdentifyService::start(structure, &bus, keys.clone(), id("identify"), pool).await.unwrap();
+    let alert = AlertService::start(structure, None, &bus, keys.clone(), id("alert"), None).await.unwrap();
+    let identify = IdentifyService::start(structure, &bus, keys.clone(), id("identify"), pool, None).await.unwrap();
     let ingest = IngestService::start(structure, &bus, keys.clone(), settings).await.unwrap();
     let services = [
         tokio::spawn(async { alert.run(std::future::pending()).await.unwrap() }),
@@ -193,7 +194,7 @@ async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
         tokio::spawn(async { ingest.run(std::future::pending()).await.unwrap() }),
     ];
     let wait_for = vec![Service::Ingest, Service::Identify, Service::Alert];
-    let settings = SensorSettings { speed: Speed::Max, epoch: 1, wait_for };
+    let settings = SensorSettings { speed: Speed::Max, epoch: 1, wait_for, resume: false };
     let plans = NodePlan::of(structure, Clocks::Right).unwrap();
     let sensors = SensorService::start(plans, structure.sampling_rate_hz(), &bus, keys, settings).await.unwrap();
     let rows = simulated_rows(structure, structure.simulation().seed(), 0, Some(record.len() as u64));

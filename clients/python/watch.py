@@ -3,12 +3,14 @@
 
     python3 watch.py house --connect tcp/127.0.0.1:7447
     python3 watch.py house --history storey-2 --plot storey-2.png
+    python3 watch.py house --connect quic/10.0.0.5:7447 --certificate viewer.ada.pem
 
 Needs eclipse-zenoh; a plot needs matplotlib as well.
 """
 
 import argparse
 import json
+import pathlib
 import sys
 import time
 
@@ -20,6 +22,7 @@ def arguments():
     parser.add_argument("structure")
     parser.add_argument("--root", default="spandrel", help="first chunk of all keys")
     parser.add_argument("--connect", default="tcp/127.0.0.1:7447", metavar="ENDPOINT")
+    parser.add_argument("--certificate", metavar="NAME.pem", help="to show at endpoints quic/...; NAME.key and authority.pem lie beside it")
     parser.add_argument("--seconds", type=float, help="end after so long")
     parser.add_argument("--history", metavar="PARAMETER", help="ask for the past of a parameter instead")
     parser.add_argument("--points", type=int, default=1000)
@@ -27,10 +30,21 @@ def arguments():
     return parser.parse_args()
 
 
-def session(endpoint):
+def session(endpoint, certificate):
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
+    config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    if certificate is not None:
+        pem = pathlib.Path(certificate)
+        tls = {
+            "root_ca_certificate": str(pem.with_name("authority.pem")),
+            "connect_certificate": str(pem),
+            "connect_private_key": str(pem.with_suffix(".key")),
+            "enable_mtls": True,
+        }
+        for key, value in tls.items():
+            config.insert_json5(f"transport/link/tls/{key}", json.dumps(value))
     return zenoh.open(config)
 
 
@@ -86,7 +100,7 @@ def plot(span, file):
 def main():
     args = arguments()
     below = f"{args.root}/{args.structure}"
-    with session(args.connect) as joined:
+    with session(args.connect, args.certificate) as joined:
         if args.history is None:
             listen(joined, below, args.seconds)
             return

@@ -67,11 +67,18 @@ impl Lab {
     /// The built binary on one of the computers.
     pub fn spandrel(&self, name: &str, subcommand: &str) -> Command {
         let plain = spandrel(subcommand);
-        let mut command = Command::new("ip");
-        command.args(["netns", "exec", &self.namespace(name)]).arg(plain.get_program()).args(plain.get_args());
+        let mut command = self.inside(name);
+        command.arg(plain.get_program()).args(plain.get_args());
         for (variable, _) in plain.get_envs() {
             command.env_remove(variable);
         }
+        command
+    }
+
+    /// A command that runs the program named next on one of the computers.
+    pub fn inside(&self, name: &str) -> Command {
+        let mut command = Command::new("ip");
+        command.args(["netns", "exec", &self.namespace(name)]);
         command
     }
 

@@ -4,20 +4,24 @@
 #![allow(dead_code, unused_imports, reason = "each test file uses its part of it")]
 
 mod building;
+mod disk;
 mod drops;
 mod estimates;
 mod lab;
 mod process;
 mod record;
+mod secured;
 mod sensors;
 mod site;
 
 pub use building::{five_storeys, storeys, two_storeys};
+pub use disk::SmallDisk;
 pub use drops::Drops;
 pub use estimates::{EstimateReader, Estimated, Identified, assert_same_bits, identified};
 pub use lab::{Lab, Link};
 pub use process::{Finished, Process, spandrel};
 pub use record::Record;
+pub use secured::Secured;
 pub use sensors::{Node, Sensors, put_raw};
 pub use site::{Site, free_endpoint};
 

@@ -63,6 +63,17 @@ impl Record {
         self
     }
 
+    /// Gives a channel from row `first` on the values that it has `rows` earlier (later, if negative); what there is none for is empty.
+    pub fn shift(&mut self, channel: &str, first: usize, rows: isize) -> &mut Self {
+        let column = self.column(channel);
+        let before: Vec<String> = self.rows.iter().map(|row| row[column].clone()).collect();
+        for row in first..self.rows.len() {
+            let from = row.checked_add_signed(-rows).filter(|from| *from >= first);
+            self.rows[row][column] = from.and_then(|from| before.get(from)).cloned().unwrap_or_default();
+        }
+        self
+    }
+
     /// Takes whole rows out.
     pub fn cut(&mut self, rows: Range<usize>) -> &mut Self {
         self.rows.drain(rows);
@@ -83,6 +94,22 @@ impl Record {
         self.path = self.path.with_file_name(name);
         let lines = std::iter::once(&self.header).chain(&self.rows).map(|fields| fields.join(",") + "\n");
         std::fs::write(&self.path, lines.collect::<String>()).unwrap();
+        self
+    }
+
+    /// Writes the table as `record.csv` of a folder.
+    pub fn save_as_copy(&mut self, folder: &Path) -> &Self {
+        self.path = folder.join("none");
+        self.save_as("record.csv")
+    }
+
+    /// The values with so many decimals.
+    pub fn rounded(mut self, decimals: usize) -> Self {
+        for field in self.rows.iter_mut().flat_map(|row| &mut row[1..]) {
+            if let Ok(value) = field.parse::<f64>() {
+                *field = format!("{value:.decimals$}");
+            }
+        }
         self
     }
 

@@ -85,7 +85,10 @@ impl Node {
             buffer_key: keys.buffer(&name),
             source: name.to_string(),
             epoch,
+            first: 0,
+            state: StreamState::Running,
             capacity: 1 << 16,
+            forget: None,
         };
         let publisher = bus.publish_numbered(stream).await.unwrap();
         let token = bus.announce(keys.live(Service::Sensor, &name)).await.unwrap();

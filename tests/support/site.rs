@@ -44,6 +44,11 @@ impl Site {
         Self { root: other.root.clone(), endpoint: other.endpoint.clone(), ..self }
     }
 
+    /// This structure under a root that is known: what is kept on disk names it.
+    pub fn rooted(self, root: &str) -> Self {
+        Self { root: root.to_owned(), ..self }
+    }
+
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }

@@ -152,6 +152,11 @@ impl Decision {
         &self.subject
     }
 
+    /// The rule by which it is watched.
+    pub fn rule(&self) -> &Rule {
+        &self.rule
+    }
+
     fn handle_estimate(&mut self, estimate: ParameterEstimate, alerts: &mut Vec<Alert>) {
         self.last_estimate = Some(estimate);
         if estimate.std < MEASURED_SHARE_OF_PRIOR * self.subject.prior_std {
@@ -333,6 +338,10 @@ impl Decision {
         Some(alert)
     }
 }
+
+mod succession;
+
+pub use succession::Model;
 
 #[cfg(test)]
 mod tests;

@@ -96,6 +96,9 @@ pub enum AlertError {
         /// Why.
         source: spandrel_bus::NameError,
     },
+    /// What the service remembers cannot be kept.
+    #[error(transparent)]
+    Checkpoint(#[from] spandrel_checkpoint::CheckpointError),
     /// The bus refused a declaration or is closed.
     #[error(transparent)]
     Bus(#[from] spandrel_bus::BusError),

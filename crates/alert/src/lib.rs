@@ -37,6 +37,7 @@ pub mod rule;
 
 pub mod credibility;
 pub mod learning;
+mod memory;
 
 pub mod baseline;
 
@@ -51,7 +52,7 @@ pub mod shell;
 pub use alert::{Acknowledged, Alert};
 pub use baseline::{Baseline, RecordSummary};
 pub use credibility::{LossEstimate, ParameterEstimate, loss_estimate, probability_of_loss};
-pub use decision::{Decision, Input, Subject};
+pub use decision::{Decision, Input, Model, Subject};
 pub use error::AlertError;
 pub use learning::{Learning, SpanSummary};
 pub use reference::Reference;

@@ -1,30 +1,36 @@
 //! Joins the watch on one structure to the bus.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::future::Future;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Block, Bus, Delivery, DisplayPublisher, EstimateBlock, Keys,
-    LatestPublisher, LiveToken, Name, ProgressPublisher, Service, Start, Status, Stream, Subscription,
+    Acknowledgement, AlertMessage, AlertState, Block, Bus, Delivery, DisplayPublisher, EstimateBlock, HistoryLog, Keys,
+    LatestPublisher, LiveToken, Name, ProgressPublisher, Question, Questions, Service, Start, Status, Stream,
+    Subscription,
 };
+use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
 use tracing::{info, warn};
 
+use crate::memory::{AlertState as Remembered, Basis, CHANGES_KEPT, Memory};
 use crate::{Acknowledged, Alert, AlertError, Baseline, Watch};
 
 /// How often the status is put.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
 /// Acknowledgements waiting; when more come at once the oldest is lost and counted, and its sender sees no change.
 const ACKNOWLEDGEMENTS_WAITING: usize = 64;
+/// Queries for the last changes that wait.
+const QUESTIONS_WAITING: usize = 16;
 
 /// The alert service of one structure.
 #[derive(Debug)]
 pub struct AlertService {
+    basis: Basis,
     watch: Watch,
     estimates: Stream<EstimateBlock>,
     acknowledgements: Subscription<Acknowledgement>,
-    /// By number of the parameter; each gives its last alert on query too.
+    /// By number of the parameter, also of those that the structure file has no longer; each gives its last alert on query.
     alerts: Vec<AlertTopic>,
     progress: ProgressPublisher,
     status: DisplayPublisher<Status>,
@@ -35,6 +41,12 @@ pub struct AlertService {
     done: u64,
     last_time_ns: Option<i64>,
     refused: BTreeMap<&'static str, u64>,
+    memory: Option<Memory>,
+    /// What the last life of this service decided and may not have put.
+    unsent: Vec<Alert>,
+    /// The last changes, oldest first.
+    log: VecDeque<Alert>,
+    questions: Questions,
 }
 
 /// The alerts of one parameter.
@@ -48,51 +60,74 @@ struct AlertTopic {
 
 impl AlertService {
     /// Checks everything and joins the bus; `id` names this instance. References that would be learnt are taken from
-    /// `baseline` where it knows the parameter.
+    /// `baseline` where it knows the parameter. Where `remembering` says that checkpoints are kept, the service goes on from
+    /// the last one, and puts again where each parameter stands; alerts that a changed structure file no longer raises end.
     ///
     /// # Errors
-    /// When the rules are not consistent with the structure, a name is no key, or the bus refuses a declaration.
+    /// When the rules are not consistent with the structure, a name is no key, the checkpoints cannot be kept, or the bus
+    /// refuses a declaration.
     pub async fn start(
         structure: &Structure,
         baseline: Option<&Baseline>,
         bus: &Bus,
         keys: Keys,
         id: Name,
+        remembering: Option<&Remembering>,
     ) -> Result<Self, AlertError> {
-        let watch = Watch::new(structure, baseline)?;
+        let mut memory = match remembering {
+            Some(remembering) => Some(Memory::open(structure, remembering)?),
+            None => None,
+        };
+        let state = begin(structure, baseline, memory.as_mut())?;
+        let Remembered { basis, watch, unsent, log, last_time_ns } = state;
+        let start = match watch.position() {
+            Some((epoch, sequence)) => Start::At { epoch, sequence },
+            None => Start::Beginning,
+        };
         let service_name = name(Service::Alert.as_str())?;
         let mut alerts = Vec::new();
-        for parameter in structure.parameters() {
-            let parameter = name(parameter.name())?;
+        for parameter in &basis.parameters {
+            let parameter = name(parameter)?;
             let publisher = bus.publish_latest(keys.alert(&parameter)).await?;
             alerts.push(AlertTopic { parameter, publisher, is_told: false });
         }
         let acknowledgements = bus.subscribe(keys.all_acknowledgements(), ACKNOWLEDGEMENTS_WAITING).await?;
-        let settings = bus.reading(Start::Beginning);
+        let settings = bus.reading(start);
         let parameters = structure.parameters().len();
         let is_of_structure = move |block: &EstimateBlock| match usize::from(block.parameters) == parameters {
             true => Ok(()),
             false => Err("estimates-of-another-structure"),
         };
+        let progress = bus.publish_progress(keys.progress(Service::Alert), id.to_string()).await?;
+        let done = watch.position().map_or(0, |(epoch, done)| {
+            // Sources may wait for what this service did last before it was killed, and could not say.
+            progress.set(epoch, done, last_time_ns.unwrap_or(i64::MIN));
+            done
+        });
         let service = Self {
             estimates: bus.follow_fit(keys.estimates(), keys.estimates_buffer(), settings, is_of_structure).await?,
             acknowledgements,
-            progress: bus.publish_progress(keys.progress(Service::Alert), id.to_string()).await?,
+            progress,
             status: bus.publish_display(keys.status(Service::Alert, &id)).await?,
             token: Some(bus.announce(keys.live(Service::Alert, &id)).await?),
+            basis,
             watch,
             alerts,
-            keys,
             service: service_name,
             id,
-            done: 0,
-            last_time_ns: None,
+            done,
+            last_time_ns,
             refused: BTreeMap::new(),
+            memory,
+            unsent,
+            log,
+            questions: bus.questions(keys.alert_log(), QUESTIONS_WAITING).await?,
+            keys,
         };
         info!(
             structure = service.keys.structure().as_str(),
             rules = structure.alert_rules().len(),
-            parameters = service.alerts.len(),
+            parameters,
             "alerts ready"
         );
         Ok(service)
@@ -107,12 +142,14 @@ impl AlertService {
         let mut status = tokio::time::interval(STATUS_EVERY);
         let deliveries = self.estimates.deliveries().clone();
         let acknowledgements = self.acknowledgements.messages().clone();
+        self.put_again().await?;
         loop {
             tokio::select! {
                 biased; // people first: estimates may come without a pause; stop last: what has arrived is still decided
                 Ok((key, acknowledgement)) = acknowledgements.recv_async() => {
                     self.acknowledge(&key, acknowledgement).await?;
                 }
+                Some(question) = self.questions.next() => self.answer(&question).await?,
                 _ = status.tick() => self.put_status().await?,
                 delivery = deliveries.recv_async() => match delivery {
                     Ok(Delivery::Block(block)) => self.decide(&block).await?,
@@ -122,10 +159,57 @@ impl AlertService {
                 () = &mut stop => break,
             }
         }
+        self.keep(Vec::new());
         if let Some(token) = self.token.take() {
             token.withdraw().await?;
         }
         Ok(())
+    }
+
+    /// Puts what the last life of this service may not have put, and where each parameter stands: who was not there then
+    /// learns it, who was knows it by its key.
+    async fn put_again(&mut self) -> Result<(), AlertError> {
+        let unsent = std::mem::take(&mut self.unsent);
+        self.publish(unsent).await?;
+        let structure = self.keys.structure();
+        for (parameter, topic) in self.alerts.iter_mut().enumerate() {
+            let standing = self.watch.standing(parameter);
+            if let Some(standing) = standing {
+                topic.publisher.put(&standing.to_message(structure, &topic.parameter)).await?;
+            }
+            topic.is_told = standing.is_some(); // the end of an alert of a former rule says nothing of another one
+        }
+        Ok(())
+    }
+
+    /// Keeps what has been decided; returns the alerts that follow from the last block, which may be put from then on.
+    fn keep(&mut self, alerts: Vec<Alert>) -> Vec<Alert> {
+        self.log.extend(alerts.iter().cloned());
+        self.log.drain(..self.log.len().saturating_sub(CHANGES_KEPT));
+        let Some(memory) = &mut self.memory else {
+            return alerts;
+        };
+        let (watch, log) = (self.watch.clone(), self.log.clone());
+        let basis = self.basis.clone();
+        let state = Remembered { basis, watch, unsent: alerts, log, last_time_ns: self.last_time_ns };
+        tokio::task::block_in_place(|| memory.keep(&state));
+        state.unsent
+    }
+
+    /// Tells the last changes.
+    async fn answer(&self, question: &Question) -> Result<(), AlertError> {
+        let structure = self.keys.structure();
+        let named = |alert: &Alert| {
+            let topic = self.alerts.get(alert.parameter)?;
+            Some(alert.to_message(structure, &topic.parameter))
+        };
+        let log = HistoryLog {
+            structure: structure.clone(),
+            alerts: self.log.iter().filter_map(named).collect(),
+            acknowledgements: Vec::new(),
+            events: Vec::new(),
+        };
+        Ok(question.answer(&self.keys.alert_log(), &log).await?)
     }
 
     async fn decide(&mut self, block: &EstimateBlock) -> Result<(), AlertError> {
@@ -135,13 +219,18 @@ impl AlertService {
         if let Err(error) = decided {
             self.refuse("estimates-of-another-structure", &error);
         }
-        self.publish(alerts).await?;
-        self.publish_first().await?;
         self.done = block.end();
         if let (Some(grid), Some(last)) = (block.grid(), block.end().checked_sub(1)) {
             self.last_time_ns = Some(grid.time_ns(last));
         }
-        self.progress.set(block.header.epoch, self.done, self.last_time_ns.unwrap_or(i64::MIN));
+        if !alerts.is_empty() || self.memory.as_ref().is_some_and(Memory::is_due) {
+            alerts = self.keep(alerts);
+        }
+        self.publish(alerts).await?;
+        self.publish_first().await?;
+        let epoch = block.header.epoch;
+        let kept = self.memory.as_ref().map_or(self.done, |memory| memory.kept(epoch));
+        self.progress.set_kept(epoch, self.done, self.last_time_ns.unwrap_or(i64::MIN), kept);
         Ok(())
     }
 
@@ -158,6 +247,7 @@ impl AlertService {
         if !is_taken {
             *self.refused.entry("acknowledgement-without-alert").or_default() += 1;
         }
+        let alerts = if alerts.is_empty() { alerts } else { self.keep(alerts) };
         self.publish(alerts).await
     }
 
@@ -218,6 +308,7 @@ impl AlertService {
             id: self.id.clone(),
             time_ns: now_ns,
             lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
+            pace: None,
             done: self.done,
             drops,
             restarts: 0,
@@ -225,6 +316,30 @@ impl AlertService {
         };
         Ok(self.status.put(&status).await?)
     }
+}
+
+/// What a service starts from: what it remembers, by the rules of now, or nothing. Ends of alerts are on the disk on return.
+fn begin(
+    structure: &Structure,
+    baseline: Option<&Baseline>,
+    memory: Option<&mut Memory>,
+) -> Result<Remembered, AlertError> {
+    let new = Remembered::new(structure, baseline)?;
+    let Some((memory, former)) = memory.and_then(|memory| memory.recall().map(|former| (memory, former))) else {
+        return Ok(new);
+    };
+    let state = new.succeed(former.clone());
+    if state != former {
+        // what follows from the change comes after what the last life may not have put
+        let ended = state.unsent.iter().skip(former.unsent.len()).filter(|alert| alert.state == AlertState::Cleared);
+        let ended = ended.count();
+        info!(
+            structure = structure.name(),
+            ended, "what alerts rest on has changed: decisions go on by the rules of now"
+        );
+        memory.keep(&state);
+    }
+    Ok(state)
 }
 
 fn name(text: &str) -> Result<Name, AlertError> {

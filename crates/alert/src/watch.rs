@@ -5,7 +5,8 @@ use spandrel_bus::{AlertState, Estimate, EstimateBlock, Phase};
 use spandrel_structure::{AlertRule, Parameter, Structure};
 
 use crate::{
-    Alert, AlertError, Baseline, Decision, Input, ParameterEstimate, Reference, Rule, Subject, alert::Acknowledged,
+    Alert, AlertError, Baseline, Decision, Input, Model, ParameterEstimate, Reference, Rule, Subject,
+    alert::Acknowledged, wording::End,
 };
 
 /// The decisions on one structure; serialises as its checkpoint.
@@ -46,6 +47,37 @@ impl Watch {
     /// Watches by these decisions on a structure of `parameter_count` parameters.
     pub fn from_decisions(parameter_count: usize, decisions: Vec<Decision>) -> Self {
         Self { parameter_count, decisions, expected: None }
+    }
+
+    /// Goes on where `former` stood, which watched by the structure file of before; appends what has changed by that.
+    ///
+    /// `names`: names of the parameters by the numbers that alerts carry, those of this watch first; of former parameters
+    /// that are gone too.
+    pub(crate) fn succeed(&mut self, former: &Self, names: &[String], model: Model, alerts: &mut Vec<Alert>) {
+        self.expected = former.expected;
+        let mut left: Vec<Option<&Decision>> = former.decisions.iter().map(Some).collect();
+        let mut heirs: Vec<Option<&Decision>> = vec![None; self.decisions.len()];
+        // equal rules first: rules that change places, and others beside them, change nothing
+        for is_equal in [true, false] {
+            for (heir, own) in heirs.iter_mut().zip(&self.decisions).filter(|(heir, _)| heir.is_none()) {
+                let fits = |former: &&Decision| {
+                    former.subject().name == own.subject().name && (!is_equal || former.rule() == own.rule())
+                };
+                *heir = left.iter_mut().find(|former| former.as_ref().is_some_and(fits)).and_then(Option::take);
+            }
+        }
+        for former in left.into_iter().flatten() {
+            let Some(parameter) = names.iter().position(|name| *name == former.subject().name) else {
+                continue; // the names are complete
+            };
+            let end = if parameter < self.parameter_count { End::Unwatched } else { End::NoSuchParameter };
+            alerts.extend(former.clone().ended(&end).map(|alert| Alert { parameter, ..alert }));
+        }
+        for (own, former) in self.decisions.iter_mut().zip(heirs) {
+            if let Some(former) = former {
+                own.succeed(former, model, alerts);
+            }
+        }
     }
 
     /// Reacts to a block of estimates; appends an alert for each change. Other cuts of the same estimates into blocks give
@@ -98,6 +130,16 @@ impl Watch {
         let of_parameter = || self.decisions.iter().filter(|decision| decision.subject().parameter == parameter);
         let is_announced = of_parameter().any(|decision| decision.last_alert().is_some());
         of_parameter().next().filter(|_| !is_announced)?.unannounced()
+    }
+
+    /// Number of parameters of the structure.
+    pub fn parameter_count(&self) -> usize {
+        self.parameter_count
+    }
+
+    /// Epoch and number of the first estimate not yet decided on; `None` before the first.
+    pub fn position(&self) -> Option<(u64, u64)> {
+        self.expected
     }
 
     /// The decisions, by rule and parameter in the order of the structure file.

@@ -41,6 +41,47 @@ pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert) -> String 
     }
 }
 
+/// Why an alert is over although nothing new has been measured.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum End {
+    /// The structure file has no such parameter.
+    NoSuchParameter,
+    /// No rule watches the parameter.
+    Unwatched,
+    /// The rule is another, and the last estimate does not reach it.
+    RuleChanged { from: Rule, to: Rule, probability: f64 },
+    /// The rule is another, and so is the model: there is no estimate that it could be held against.
+    RuleAndModelChanged,
+    /// What the loss counts from is not known any more.
+    ReferenceLearntAnew,
+}
+
+/// The end of an alert in words.
+pub(crate) fn describe_end(subject: &Subject, end: &End) -> String {
+    let name = &subject.name;
+    let asked = |rule: &Rule| {
+        let (loss, credibility) = (percent(rule.loss()), probability(rule.credibility()));
+        format!("more than {loss} with probability {credibility} for {}", duration(rule.sustain_ns()))
+    };
+    let why = match end {
+        End::NoSuchParameter => "the structure file has no such parameter any more".to_owned(),
+        End::Unwatched => "no rule of the structure file watches it any more".to_owned(),
+        End::RuleChanged { from, to, probability: found } => format!(
+            "its rule was changed from {} to {}, and the last estimate gives that loss probability {}",
+            asked(from),
+            asked(to),
+            probability(*found)
+        ),
+        End::RuleAndModelChanged => {
+            "its rule and the model of the structure file were changed, and identification begins anew".to_owned()
+        }
+        End::ReferenceLearntAnew => {
+            "what the loss counts from is learnt anew, because the structure file was changed".to_owned()
+        }
+    };
+    format!("alert of {name} has ended: {why}")
+}
+
 /// Longest part of a name or note that is repeated in the words, in characters.
 const LONGEST_QUOTE: usize = 400;
 

@@ -6,9 +6,10 @@ use std::time::Duration;
 
 use spandrel_alert::AlertService;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, Estimate, EstimateBlock, EstimateFlags, Header, Keys,
-    Name, NumberedPublisher, NumberedStream, Phase, Service, StreamState, Subscription,
+    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, Estimate, EstimateBlock, EstimateFlags, Header,
+    HistoryLog, Keys, Name, NumberedPublisher, NumberedStream, Phase, Service, StreamState, Subscription,
 };
+use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
 use tokio::sync::oneshot;
 use tokio::time::timeout;
@@ -55,7 +56,10 @@ async fn open(root: &str) -> (Bus, Keys, NumberedPublisher<EstimateBlock>) {
         buffer_key: keys.estimates_buffer(),
         source: "identify-1".into(),
         epoch: 1,
+        first: 0,
+        state: StreamState::Running,
         capacity: 10_000,
+        forget: None,
     };
     let estimates = bus.publish_numbered(stream).await.unwrap();
     (bus, keys, estimates)
@@ -69,9 +73,13 @@ struct Running {
 
 impl Running {
     async fn start(bus: &Bus, keys: &Keys) -> Self {
-        let structure = Structure::parse(STRUCTURE, Path::new("tower.toml")).unwrap_or_else(|error| panic!("{error}"));
+        Self::start_with(bus, keys, STRUCTURE, None).await
+    }
+
+    async fn start_with(bus: &Bus, keys: &Keys, text: &str, remembering: Option<&Remembering>) -> Self {
+        let structure = Structure::parse(text, Path::new("tower.toml")).unwrap_or_else(|error| panic!("{error}"));
         let id = Name::new("alert-1").unwrap();
-        let running = AlertService::start(&structure, None, bus, keys.clone(), id).await.unwrap();
+        let running = AlertService::start(&structure, None, bus, keys.clone(), id, remembering).await.unwrap();
         let (stop, stopped) = oneshot::channel();
         let service = tokio::spawn(async move {
             let stopped = async move { drop(stopped.await) };
@@ -80,9 +88,13 @@ impl Running {
         Self { stop, service }
     }
 
-    async fn end(self, bus: Bus) {
+    async fn stop(self) {
         self.stop.send(()).unwrap();
         timeout(DEADLINE, self.service).await.unwrap().unwrap();
+    }
+
+    async fn end(self, bus: Bus) {
+        self.stop().await;
         bus.close().await.unwrap();
     }
 }
@@ -133,6 +145,55 @@ async fn estimates_put_before_the_service_came_are_decided_too() {
     let running = Running::start(&bus, &keys).await;
     assert_eq!(next(&alerts).await.state, AlertState::Pending);
     assert_eq!(next(&alerts).await.since_ns, Some(0));
+    running.end(bus).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_changed_structure_file_keeps_acknowledgements_and_ends_alerts_that_it_does_not_raise() {
+    let (bus, keys, estimates) = open("alert-test-d").await;
+    let folder = tempfile::tempdir().unwrap();
+    let remembering = Remembering { folder: folder.path().to_owned(), every: Duration::from_secs(5) };
+    let alerts = bus.subscribe(keys.all_alerts(), 100).await.unwrap();
+    let running = Running::start_with(&bus, &keys, STRUCTURE, Some(&remembering)).await;
+    estimates.put(block(0, 100, 0.86)).await.unwrap();
+    assert_eq!(next(&alerts).await.state, AlertState::Pending);
+    assert_eq!(next(&alerts).await.state, AlertState::Raised);
+    let parameter = Name::new("storey-1").unwrap();
+    let person = bus.publish_display(keys.acknowledge(&parameter)).await.unwrap();
+    let acknowledgement = Acknowledgement {
+        structure: Name::new("tower").unwrap(),
+        parameter: parameter.clone(),
+        time_ns: 0,
+        who: "Ada".into(),
+        note: String::new(),
+    };
+    person.put(&acknowledgement).await.unwrap();
+    assert_eq!(next(&alerts).await.state, AlertState::Acknowledged);
+    running.stop().await;
+
+    let commented = format!("# the crew has been there\n{STRUCTURE}");
+    let running = Running::start_with(&bus, &keys, &commented, Some(&remembering)).await;
+    let again = next(&alerts).await;
+    assert_eq!((again.state, again.acknowledged_by.as_deref()), (AlertState::Acknowledged, Some("Ada")));
+    running.stop().await;
+
+    let lenient = STRUCTURE.replace("loss = 0.05", "loss = 0.3");
+    let running = Running::start_with(&bus, &keys, &lenient, Some(&remembering)).await;
+    let ended = next(&alerts).await;
+    assert_eq!(ended.state, AlertState::Cleared);
+    assert!(
+        ended.why.starts_with("alert of storey-1 has ended: its rule was changed from more than 5 %"),
+        "{}",
+        ended.why
+    );
+    assert_eq!(next(&alerts).await.state, AlertState::Normal);
+    // who was not there learns it from the log, also from the next life of the service
+    running.stop().await;
+    let running = Running::start_with(&bus, &keys, &lenient, Some(&remembering)).await;
+    let log: Vec<(String, HistoryLog)> = bus.ask(&keys.alert_log(), DEADLINE).await.unwrap();
+    let states: Vec<AlertState> = log[0].1.alerts.iter().map(|alert| alert.state).collect();
+    let told = ["pending", "raised", "acknowledged", "cleared", "normal"];
+    assert_eq!(states.iter().map(|state| state.as_str()).collect::<Vec<_>>(), told);
     running.end(bus).await;
 }
 

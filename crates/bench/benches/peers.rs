@@ -133,8 +133,8 @@ fn compare(storeys: usize, options: &Options) -> Result<Row, Box<dyn Error>> {
         result?;
         of_known.push(time_s);
     }
-    let half_bandwidth = filter.transition_half_bandwidth().ok_or("a chain has a band")?;
-    let count = Count::of(&building, half_bandwidth);
+    let terms = filter.transition_term_count().ok_or("a chain has a proportional form")?;
+    let count = Count::of(&building, terms);
     let rates = Rates::measure(count.bytes);
     println!(
         "{storeys} storeys: {:.2} Mflop, {:.2} MB a step; {:.1} Gflop/s, {:.1} GB/s; shortest step {:.1} µs",

@@ -15,21 +15,17 @@ pub struct Count {
 }
 
 impl Count {
-    /// Counts a step of the filter of a [`Building`], whose transition has bands of `half_bandwidth` beside the diagonal.
+    /// Counts a step of the filter of a [`Building`], whose prediction moves a row of the covariance by `terms` products.
     ///
-    /// A row of a state covariance moves by `ρ = (−G x + W θ) h²`, three terms of a chain and those of the parameters, and by
-    /// four bands: all n rows from the right, and half of the 2N rows of the motion from the left, because the result is
-    /// symmetric. The update is of rank N_0, and the ground motion of rank one, for half of the covariance. All terms of the
+    /// A row moves by `ρ = (−G x + W θ) h²`, three terms of a chain and those of the parameters, and by four bands, each as
+    /// wide as its own polynomial asks for: all n rows from the right, and half of the 2N rows of the motion from the left,
+    /// because the result is symmetric. The update is of rank N_0, and the ground motion of rank one, for half of the covariance. All terms of the
     /// matrices of the structure alone, of the parameters and noise levels, and all that is of lower order, are left out.
     #[must_use]
-    pub fn of(building: &Building, half_bandwidth: usize) -> Self {
+    pub fn of(building: &Building, terms: usize) -> Self {
         let storeys = building.storeys as f64;
         let (n, channels) = (3.0 * storeys + 2.0, building.sensed().count() as f64);
-        let of_chain = |half: f64| storeys * (2.0 * half + 1.0) - half * (half + 1.0); // entries of a band
-        let half_bandwidth = half_bandwidth as f64;
-        let by_theta = 2.0 * storeys - 1.0 + 2.0 * storeys; // each storey moves its two floors, the damping all of them
-        let by_row = of_chain(1.0) + by_theta + 4.0 * of_chain(half_bandwidth);
-        let predicted = n * by_row + storeys * by_row;
+        let predicted = (n + storeys) * terms as f64;
         // H has the terms of its floor: three of x and of ẋ, two storeys and two damping parameters
         let observed = n * channels * 10.0 + n * channels * (channels + 1.0) / 2.0;
         let updated = n * (n + 1.0) / 2.0 * (channels + 1.0);

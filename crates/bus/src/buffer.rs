@@ -8,11 +8,13 @@ use tracing::debug;
 use zenoh::matching::MatchingStatus;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, Querier};
+use zenoh::sample::Sample;
 
 use crate::error::BusError;
 use crate::follow::Silence;
 use crate::message::{Block, CaughtUp, DecodeError, Message};
 use crate::range::QueryRange;
+use crate::receive::read;
 use crate::ring::Answer;
 use crate::session::Bus;
 
@@ -85,7 +87,7 @@ impl Buffer {
         while let Ok(reply) = received.recv_async().await {
             match reply.result() {
                 Ok(sample) => {
-                    return match read_answer(&sample.encoding().to_string(), &sample.payload().to_bytes()) {
+                    return match read_answer(sample) {
                         Ok(answer) => Fetched::Answer(answer),
                         Err(error) => Fetched::Unreadable(error),
                     };
@@ -107,9 +109,9 @@ impl Buffer {
     }
 }
 
-fn read_answer<B: Block>(encoding: &str, payload: &[u8]) -> Result<Answer<B>, DecodeError> {
-    if encoding == CaughtUp::encoding() {
-        return CaughtUp::decode(encoding, payload).map(Answer::CaughtUp);
+fn read_answer<B: Block>(sample: &Sample) -> Result<Answer<B>, DecodeError> {
+    match sample.encoding().to_string() == CaughtUp::encoding() {
+        true => read(sample).map(Answer::CaughtUp),
+        false => read(sample).map(Answer::Block),
     }
-    B::decode(encoding, payload).map(Answer::Block)
 }

@@ -176,6 +176,12 @@ impl Keys {
         self.below("alert/*")
     }
 
+    /// Queries for the last changes of alerts, answered by the alert service.
+    #[must_use]
+    pub fn alert_log(&self) -> String {
+        self.below("@alert-log")
+    }
+
     /// Acknowledgement of the alert of one parameter.
     #[must_use]
     pub fn acknowledge(&self, parameter: &Name) -> String {
@@ -297,6 +303,124 @@ impl Service {
     }
 }
 
+/// All keys of one kind, as those who rule over keys need them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum KeyFamily {
+    /// [`Keys::samples`], of a node
+    Samples,
+    /// [`Keys::buffer`], of a node
+    Buffer,
+    /// [`Keys::frames`]
+    Frames,
+    /// [`Keys::recording`]
+    Recording,
+    /// [`Keys::estimates`]
+    Estimates,
+    /// [`Keys::estimates_buffer`]
+    EstimatesBuffer,
+    /// [`Keys::parameter`], of a parameter
+    Parameter,
+    /// [`Keys::noise`], of a noise parameter
+    Noise,
+    /// [`Keys::model_class`]
+    ModelClass,
+    /// [`Keys::local`], of a node
+    Local,
+    /// [`Keys::feedback`], of a node
+    Feedback,
+    /// [`Keys::node`], of a node
+    Node,
+    /// [`Keys::outlier`], of a channel
+    Outlier,
+    /// [`Keys::event`]
+    Event,
+    /// [`Keys::alert`], of a parameter
+    Alert,
+    /// [`Keys::acknowledge`], of a parameter
+    Acknowledge,
+    /// [`Keys::progress`], of this service
+    Progress(Service),
+    /// [`Keys::status`], of an instance of this service
+    Status(Service),
+    /// [`Keys::live`], of an instance of this service
+    Live(Service),
+    /// [`Keys::description`]
+    Description,
+    /// [`Keys::history`], of a parameter
+    History,
+    /// [`Keys::history_log`]
+    HistoryLog,
+    /// [`Keys::alert_log`]
+    AlertLog,
+}
+
+impl KeyFamily {
+    /// The key expression of the family: of one structure or of all, of one name or of all.
+    ///
+    /// ```
+    /// use spandrel_bus::{KeyFamily, Name};
+    /// let root: Name = "spandrel".parse()?;
+    /// assert_eq!(KeyFamily::Alert.expression(&root, None, None), "spandrel/*/alert/*");
+    /// # Ok::<(), spandrel_bus::NameError>(())
+    /// ```
+    #[must_use]
+    pub fn expression(self, root: &Name, structure: Option<&Name>, of: Option<&Name>) -> String {
+        let of = of.map_or("*", Name::as_str);
+        let rest = match self {
+            Self::Samples => format!("sensor/{of}/samples"),
+            Self::Buffer => format!("sensor/{of}/@buffer"),
+            Self::Frames => "frames".to_owned(),
+            Self::Recording => "@recording".to_owned(),
+            Self::Estimates => "estimates".to_owned(),
+            Self::EstimatesBuffer => "@estimates".to_owned(),
+            Self::Parameter => format!("parameter/{of}"),
+            Self::Noise => format!("noise/{of}"),
+            Self::ModelClass => "model-class".to_owned(),
+            Self::Local => format!("local/{of}"),
+            Self::Feedback => format!("feedback/{of}"),
+            Self::Node => format!("node/{of}"),
+            Self::Outlier => format!("outlier/{of}"),
+            Self::Event => "event".to_owned(),
+            Self::Alert => format!("alert/{of}"),
+            Self::Acknowledge => format!("alert/{of}/acknowledge"),
+            Self::Progress(service) => format!("progress/{}", service.as_str()),
+            Self::Status(service) => format!("status/{}/{of}", service.as_str()),
+            Self::Live(service) => format!("live/{}/{of}", service.as_str()),
+            Self::Description => "description".to_owned(),
+            Self::History => format!("history/{of}"),
+            Self::HistoryLog => "@history-log".to_owned(),
+            Self::AlertLog => "@alert-log".to_owned(),
+        };
+        format!("{root}/{}/{rest}", structure.map_or("*", Name::as_str))
+    }
+
+    /// The key expression of the families of all services together, of those that have one for each service.
+    #[must_use]
+    pub fn expression_of_all_services(self, root: &Name, structure: Option<&Name>) -> Option<String> {
+        let rest = match self {
+            Self::Progress(_) => "progress/*",
+            Self::Status(_) => "status/*/*",
+            Self::Live(_) => "live/*/*",
+            _ => return None,
+        };
+        Some(format!("{root}/{}/{rest}", structure.map_or("*", Name::as_str)))
+    }
+
+    /// All families.
+    #[must_use]
+    pub fn all() -> Vec<Self> {
+        use KeyFamily as K;
+        let mut all = vec![K::Samples, K::Buffer, K::Frames, K::Recording, K::Estimates, K::EstimatesBuffer];
+        all.extend([K::Parameter, K::Noise, K::ModelClass, K::Local, K::Feedback, K::Node, K::Outlier, K::Event]);
+        all.extend([K::Alert, K::Acknowledge]);
+        for of_service in [K::Progress, K::Status, K::Live] {
+            all.extend(Service::ALL.map(of_service));
+        }
+        all.extend([K::Description, K::History, K::HistoryLog, K::AlertLog]);
+        all
+    }
+}
+
 /// What a concrete key says, the inverse of the methods of [`Keys`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Topic {
@@ -402,10 +526,52 @@ mod tests {
             (keys.estimates_buffer(), "spandrel/tower/@estimates"),
             (keys.history(&n), "spandrel/tower/history/storey-1"),
             (keys.history_log(), "spandrel/tower/@history-log"),
+            (keys.alert_log(), "spandrel/tower/@alert-log"),
         ];
         for (found, expected) in expected {
             assert_eq!(found, expected);
         }
+    }
+
+    #[test]
+    fn families_are_the_keys_that_services_use() {
+        let (keys, n) = (keys(), Name::new("storey-1").unwrap());
+        let one = |family: KeyFamily| family.expression(keys.root(), Some(keys.structure()), Some(&n));
+        let mut used = vec![
+            keys.samples(&n),
+            keys.buffer(&n),
+            keys.frames(),
+            keys.recording(),
+            keys.estimates(),
+            keys.estimates_buffer(),
+            keys.parameter(&n),
+            keys.noise(&n),
+            keys.model_class(),
+            keys.local(&n),
+            keys.feedback(&n),
+            keys.node(&n),
+            keys.outlier(&n),
+            keys.event(),
+            keys.alert(&n),
+            keys.acknowledge(&n),
+            keys.description(),
+            keys.history(&n),
+            keys.history_log(),
+            keys.alert_log(),
+        ];
+        used.extend(Service::ALL.map(|service| keys.progress(service)));
+        used.extend(Service::ALL.map(|service| keys.status(service, &n)));
+        used.extend(Service::ALL.map(|service| keys.live(service, &n)));
+        used.sort();
+        let mut families: Vec<String> = KeyFamily::all().into_iter().map(one).collect();
+        families.sort();
+        assert_eq!(families, used);
+        let all = |family: KeyFamily| family.expression(keys.root(), Some(keys.structure()), None);
+        assert_eq!(all(KeyFamily::Alert), keys.all_alerts());
+        assert_eq!(all(KeyFamily::Acknowledge), keys.all_acknowledgements());
+        assert_eq!(all(KeyFamily::Live(Service::Sensor)), keys.all_live(Service::Sensor));
+        let statuses = KeyFamily::Status(Service::Fuse).expression_of_all_services(keys.root(), Some(keys.structure()));
+        assert_eq!(statuses, Some(keys.all_statuses()));
     }
 
     #[test]

@@ -38,26 +38,34 @@ mod message;
 mod range;
 mod span;
 
+mod archive;
+mod flood;
 mod follow;
 mod ring;
 
 mod buffer;
+mod endpoint;
 mod error;
 mod live;
 mod progress;
+mod protection;
 mod publish;
 mod questions;
+mod receive;
 mod session;
 mod stream;
 mod subscribe;
+mod tls;
 
 #[cfg(test)]
 mod testing;
 
+pub use archive::Archive;
+pub use endpoint::{in_order, is_loopback};
 pub use error::{BusError, ZenohError};
 pub use follow::{Action, Delivery, FollowCounts, Follower, Gap, Silence, Start};
 pub use grid::{MAX_RATE_HZ, MIN_RATE_HZ, TimeGrid};
-pub use keys::{DEFAULT_ROOT, Keys, Service, Topic, parse_key};
+pub use keys::{DEFAULT_ROOT, KeyFamily, Keys, Service, Topic, parse_key};
 pub use live::{LiveToken, LiveWatch};
 pub use message::{
     Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChannelState, ClassCalibration, ClassPlausibility,
@@ -65,15 +73,17 @@ pub use message::{
     FeedbackMessage, Format, FrameBlock, Header, HistoryLog, HistoryRows, HistorySpan, LocalDensity, LocalMessage,
     MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message, ModelClassDisplay,
     MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay, Pace,
-    ParameterDisplay, Phase, Progress, SampleBlock, Status, StreamState,
+    ParameterDisplay, Phase, Progress, SampleBlock, ScreenedChannel, Status, StreamState, ToldMotion, ToldSamples,
+    is_without_date,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};
-pub use publish::{DisplayPublisher, LatestPublisher, NumberedPublisher, NumberedStream};
+pub use publish::{DisplayPublisher, LatestPublisher, NumberedPublisher, NumberedStream, Older};
 pub use questions::{Question, Questions};
 pub use range::{QueryRange, RangeError};
-pub use ring::{Answer, NotConsecutive, Ring};
-pub use session::{Bus, BusConfig, DEFAULT_ENDPOINT, Mode};
-pub use span::{SpanError, SpanQuery};
+pub use ring::{Answer, Forget, NotConsecutive, Ring};
+pub use session::{AROUND_THE_PAYLOAD, Bus, BusConfig, DEFAULT_ENDPOINT, Mode};
+pub use span::{SpanError, SpanQuery, TIMES, time_ns};
 pub use stream::{Stream, StreamCounts, StreamSettings};
 pub use subscribe::Subscription;
+pub use tls::{AUTHORITY_FILE, TlsConfig, TlsError, read_pair};

@@ -3,6 +3,7 @@
 mod acknowledgement;
 mod alert;
 mod block;
+mod bounded;
 mod caught_up;
 mod description;
 mod estimates;
@@ -35,7 +36,7 @@ pub use feedback::FeedbackMessage;
 pub use frames::FrameBlock;
 pub use header::{Header, MAX_SOURCE_BYTES};
 pub use history::{HistoryLog, HistoryRows, HistorySpan};
-pub use local::{LocalDensity, LocalMessage, MotionNumbers, NodeLineage};
+pub use local::{LocalDensity, LocalMessage, MotionNumbers, NodeLineage, ScreenedChannel, ToldMotion, ToldSamples};
 pub use model_class::{ClassCalibration, ClassPlausibility, ModelClassDisplay};
 pub use node::{NodeDisplay, NodeHealth};
 pub use noise::NoiseDisplay;
@@ -43,7 +44,7 @@ pub use outlier::{ChannelState, MaskedSpan, OutlierDisplay};
 pub use parameter::{CredibleInterval, ParameterDisplay};
 pub use progress::Progress;
 pub use samples::{NodeState, Pace, SampleBlock};
-pub use status::Status;
+pub use status::{Status, is_without_date};
 
 /// Largest payload accepted, in bytes; nothing larger is ever decoded or sent.
 pub const MAX_MESSAGE_BYTES: usize = 8 << 20;

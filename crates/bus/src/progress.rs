@@ -10,8 +10,9 @@ use zenoh::pubsub::Subscriber;
 use zenoh::sample::Sample;
 
 use crate::error::BusError;
-use crate::message::{Header, Message, Progress};
+use crate::message::{Header, Progress};
 use crate::publish::DisplayPublisher;
+use crate::receive::read;
 use crate::session::Bus;
 
 /// A progress message may be dropped, so the last one is repeated.
@@ -53,12 +54,9 @@ impl Bus {
         let (changes, latest) = watch::channel(None);
         let declared = self.session().declare_subscriber(key.clone());
         let subscriber = declared
-            .callback(move |sample: Sample| {
-                let payload = sample.payload().to_bytes();
-                match Progress::decode(&sample.encoding().to_string(), &payload) {
-                    Ok(progress) => drop(changes.send_replace(Some(progress))),
-                    Err(error) => debug!(key = %sample.key_expr(), %error, "progress refused"),
-                }
+            .callback(move |sample: Sample| match read::<Progress>(&sample) {
+                Ok(progress) => drop(changes.send_replace(Some(progress))),
+                Err(error) => debug!(key = %sample.key_expr(), %error, "progress refused"),
             })
             .await
             .map_err(|source| BusError::Declare { key, source })?;
@@ -86,9 +84,15 @@ impl ProgressPublisher {
     /// Says that all frames of `epoch` below number `done` are done; `time_ns` is the time of the last one,
     /// ns since the Unix epoch. Never waits.
     pub fn set(&self, epoch: u64, done: u64, time_ns: i64) {
+        self.set_kept(epoch, done, time_ns, done);
+    }
+
+    /// As [`ProgressPublisher::set`], of a service that would need the frames from number `kept` on again if it were killed.
+    pub fn set_kept(&self, epoch: u64, done: u64, time_ns: i64, kept: u64) {
         self.latest.send_replace(Some(Progress {
             header: Header { source: self.source.clone(), epoch, sequence: done, time_ns },
             done,
+            kept,
         }));
     }
 }

@@ -2,19 +2,22 @@
 
 use std::marker::PhantomData;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 use tokio::task::JoinSet;
 use tracing::{debug, warn};
 use zenoh::Session;
+use zenoh::bytes::ZBytes;
 use zenoh::key_expr::KeyExpr;
 use zenoh::pubsub::Publisher;
 use zenoh::qos::CongestionControl;
 use zenoh::query::{Query, Queryable};
 
+use crate::archive::{Archive, Lookup};
 use crate::error::BusError;
-use crate::message::{Block, CaughtUp, Message};
+use crate::message::{Block, CaughtUp, Message, StreamState};
 use crate::range::QueryRange;
-use crate::ring::{Answer, Ring};
+use crate::ring::{Answer, Forget, Ring};
 use crate::session::Bus;
 
 /// Queries waiting for an answer; one more is dropped, and its asker asks again.
@@ -31,8 +34,22 @@ pub struct NumberedStream {
     pub source: String,
     /// Epoch of the first block.
     pub epoch: u64,
-    /// Items kept at least.
+    /// Number of its first item: not 0 for a source that goes on where an earlier life of it was.
+    pub first: u64,
+    /// Whether that earlier life had ended the epoch.
+    pub state: StreamState,
+    /// Items kept in memory at least.
     pub capacity: u64,
+    /// Which of them are forgotten earlier; none: none.
+    pub forget: Option<Forget>,
+}
+
+/// Where older items of a stream are kept, and how many of them an asker gets that has none yet.
+pub struct Older<B> {
+    /// Where they are kept.
+    pub archive: Arc<dyn Archive<B>>,
+    /// Items of the running epoch, counted back from its end.
+    pub recent: u64,
 }
 
 /// Puts the blocks of a lossless stream, and keeps the latest for those who missed them.
@@ -52,12 +69,24 @@ impl Bus {
     /// # Errors
     /// Zenoh refuses a key, or the session is closed.
     pub async fn publish_numbered<B: Block>(&self, stream: NumberedStream) -> Result<NumberedPublisher<B>, BusError> {
-        let NumberedStream { key, buffer_key, source, epoch, capacity } = stream;
-        let ring = Arc::new(Mutex::new(Ring::new(source, epoch, capacity)));
+        self.publish_archived(stream, None).await
+    }
+
+    /// As [`Bus::publish_numbered`], with older items from an archive.
+    ///
+    /// # Errors
+    /// As [`Bus::publish_numbered`].
+    pub async fn publish_archived<B: Block>(
+        &self,
+        stream: NumberedStream,
+        older: Option<Older<B>>,
+    ) -> Result<NumberedPublisher<B>, BusError> {
+        let NumberedStream { key, buffer_key, source, epoch, first, state, capacity, forget } = stream;
+        let ring = Arc::new(Mutex::new(Ring::new(source, epoch, capacity).going_on(first, state).forgetting(forget)));
         let (queries, waiting) = flume::bounded(QUERIES_WAITING);
         let queryable = declare_queryable(self.session(), buffer_key, queries).await?;
         let mut answering = JoinSet::new();
-        answering.spawn(answer_from_ring(ring.clone(), waiting));
+        answering.spawn(answer_queries(ring.clone(), older, waiting));
         let publisher = declare_publisher::<B>(self.session(), key).await?;
         Ok(NumberedPublisher { publisher, ring, _queryable: queryable, _answering: answering })
     }
@@ -124,26 +153,38 @@ fn encode<M: Message>(key: &KeyExpr<'_>, message: &M) -> Result<Vec<u8>, BusErro
     message.encode().map_err(|source| BusError::Encode { key: key.to_string(), source })
 }
 
-async fn put_payload(publisher: &Publisher<'static>, payload: Vec<u8>) -> Result<(), BusError> {
+async fn put_payload(publisher: &Publisher<'static>, payload: impl Into<ZBytes>) -> Result<(), BusError> {
     let put = publisher.put(payload).await;
     put.map_err(|source| BusError::Put { key: publisher.key_expr().to_string(), source })
 }
 
 impl<B: Block> NumberedPublisher<B> {
+    /// Takes back the items from number `first` on: this source goes on from there, and puts them again.
+    pub fn take_back(&self, first: u64) {
+        lock(&self.ring).take_back(first);
+    }
+
     /// Puts the next block.
     ///
     /// # Errors
     /// The block does not continue the stream or is malformed, or the session is closed.
     pub async fn put(&self, block: B) -> Result<(), BusError> {
-        let payload = encode(self.publisher.key_expr(), &block)?;
+        let mut payload = encode(self.publisher.key_expr(), &block)?;
+        payload.shrink_to_fit(); // it stays
+        let payload = ZBytes::from(payload);
         // Into the ring first: whoever sees a gap after this put finds the block there.
-        let pushed = lock(&self.ring).push(block);
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "how long blocks are kept goes by the time at which they were put"
+        )]
+        let now = Instant::now();
+        let pushed = lock(&self.ring).push(&block, payload.clone(), now);
         pushed.map_err(|source| BusError::NotConsecutive { key: self.publisher.key_expr().to_string(), source })?;
         put_payload(&self.publisher, payload).await
     }
 }
 
-async fn answer_from_ring<B: Block>(ring: Arc<Mutex<Ring<B>>>, queries: flume::Receiver<Query>) {
+async fn answer_queries<B: Block>(ring: Arc<Mutex<Ring<B>>>, older: Option<Older<B>>, queries: flume::Receiver<Query>) {
     while let Ok(query) = queries.recv_async().await {
         let range: QueryRange = match query.parameters().as_str().parse() {
             Ok(range) => range,
@@ -153,7 +194,11 @@ async fn answer_from_ring<B: Block>(ring: Arc<Mutex<Ring<B>>>, queries: flume::R
                 continue;
             }
         };
-        let answer = lock(&ring).answer(&range);
+        let archived = match &older {
+            Some(older) => read_archive(&ring, older, &range).await,
+            None => None,
+        };
+        let answer = archived.map_or_else(|| lock(&ring).answer(&range), Answer::Block);
         let encoded = match &answer {
             Answer::Block(block) => block.encode().map(|payload| (payload, B::encoding())),
             Answer::CaughtUp(at) => at.encode().map(|payload| (payload, CaughtUp::encoding())),
@@ -163,6 +208,14 @@ async fn answer_from_ring<B: Block>(ring: Arc<Mutex<Ring<B>>>, queries: flume::R
             Err(error) => warn!(key = %query.key_expr(), %error, "answer cannot be encoded"),
         }
     }
+}
+
+/// What an asker wants that is only in the archive; read on a thread that may wait for the disk.
+async fn read_archive<B: Block>(ring: &Mutex<Ring<B>>, older: &Older<B>, range: &QueryRange) -> Option<B> {
+    let lookup = Lookup::of(&*lock(ring), range, older.recent)?;
+    let archive = older.archive.clone();
+    let read = tokio::task::spawn_blocking(move || lookup.read(&*archive));
+    read.await.ok().flatten() // a read does not panic; if it did, the ring answers with what it has
 }
 
 /// An asker that is gone asks again when it is back: a failed reply is no error of ours.

@@ -1,25 +1,59 @@
 //! The latest items of a stream, kept for those who missed them.
 
 use std::collections::VecDeque;
+use std::marker::PhantomData;
+use std::time::{Duration, Instant};
+
+use zenoh::bytes::ZBytes;
 
 use crate::message::{Block, CaughtUp, Header, StreamState};
 use crate::range::QueryRange;
 
 /// Most bytes of one answer, roughly: a few Zenoh batches, so that an answer is rarely dropped under load.
-const ANSWER_BYTES: usize = 256 << 10;
+pub(crate) const ANSWER_BYTES: usize = 256 << 10;
 
-/// The last items that a source has put, in their order.
+/// The last items that a source has put, in their order, as they were encoded: a third of the room that they take decoded.
 ///
 /// Full means that the oldest block is forgotten; who asks for it gets the oldest one left, and sees the gap.
 #[derive(Clone, Debug)]
 pub struct Ring<B> {
     source: String,
     epoch: u64,
-    blocks: VecDeque<B>,
+    blocks: VecDeque<Kept>,
     items: u64,
     capacity: u64,
     next: u64,
     state: StreamState,
+    forget: Option<Forget>,
+    block: PhantomData<fn(B)>,
+}
+
+/// When a ring forgets before it is full: what is this old and not among the last items is no longer asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Forget {
+    /// Items kept however old they are.
+    pub at_least: u64,
+    /// Age from which others are forgotten.
+    pub after: Duration,
+}
+
+/// A block as it was put.
+#[derive(Clone, Debug)]
+struct Kept {
+    sequence: u64,
+    count: u64,
+    payload: ZBytes,
+    put_at: Instant,
+}
+
+impl Kept {
+    fn end(&self) -> u64 {
+        self.sequence + self.count
+    }
+
+    fn decode<B: Block>(&self) -> Option<B> {
+        B::decode(&B::encoding(), &self.payload.to_bytes()).ok() // it was encoded here
+    }
 }
 
 /// What a ring answers.
@@ -51,7 +85,30 @@ impl<B: Block> Ring<B> {
     /// An empty ring that keeps at least the last `capacity` items.
     #[must_use]
     pub fn new(source: String, epoch: u64, capacity: u64) -> Self {
-        Self { source, epoch, blocks: VecDeque::new(), items: 0, capacity, next: 0, state: StreamState::Running }
+        let (blocks, state) = (VecDeque::new(), StreamState::Running);
+        Self { source, epoch, blocks, items: 0, capacity, next: 0, state, forget: None, block: PhantomData }
+    }
+
+    /// As [`Ring::new`], of a source that goes on at item `first` of its epoch: those before it are kept elsewhere, or nowhere.
+    #[must_use]
+    pub fn going_on(self, first: u64, state: StreamState) -> Self {
+        Self { next: first, state, ..self }
+    }
+
+    /// As it is, and forgets what is old.
+    #[must_use]
+    pub fn forgetting(self, forget: Option<Forget>) -> Self {
+        Self { forget, ..self }
+    }
+
+    /// The epoch.
+    pub(crate) fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
+    /// Number of the oldest item kept; that of the next one if none is.
+    pub(crate) fn first(&self) -> u64 {
+        self.blocks.front().map_or(self.next, |block| block.sequence)
     }
 
     /// Number of the item expected next.
@@ -60,13 +117,32 @@ impl<B: Block> Ring<B> {
         self.next
     }
 
-    /// Adds the next block; one of a higher epoch replaces everything.
+    /// Takes back the items from number `first` on: the source will put them again.
+    pub fn take_back(&mut self, first: u64) {
+        while let Some(last) = self.blocks.pop_back_if(|last| last.end() > first) {
+            self.items -= last.count;
+            let kept = first.saturating_sub(last.sequence);
+            if kept > 0
+                && let Some(mut block) = last.decode::<B>()
+            {
+                block.truncate(kept);
+                if let Ok(payload) = block.encode() {
+                    self.items += kept;
+                    self.blocks.push_back(Kept { count: kept, payload: payload.into(), ..last });
+                }
+            }
+        }
+        self.next = first;
+        self.state = StreamState::Running;
+    }
+
+    /// Adds the next block with its encoding, put now; one of a higher epoch replaces everything.
     ///
     /// The first block of an epoch may start at any number: a source that goes on from a checkpoint does.
     ///
     /// # Errors
     /// The block does not follow the last one, or its epoch is over.
-    pub fn push(&mut self, block: B) -> Result<(), NotConsecutive> {
+    pub fn push(&mut self, block: &B, payload: ZBytes, now: Instant) -> Result<(), NotConsecutive> {
         let header = block.header();
         let restarts = header.epoch > self.epoch;
         let begins = header.epoch == self.epoch && self.next == 0 && self.blocks.is_empty();
@@ -80,16 +156,17 @@ impl<B: Block> Ring<B> {
             });
         }
         if restarts {
-            *self = Self::new(header.source.clone(), header.epoch, self.capacity);
+            *self = Self::new(header.source.clone(), header.epoch, self.capacity).forgetting(self.forget);
         }
         self.source.clone_from(&block.header().source);
         self.next = block.end();
         self.state = block.state();
         self.items += block.count();
-        self.blocks.push_back(block);
+        self.blocks.push_back(Kept { sequence: block.header().sequence, count: block.count(), payload, put_at: now });
         while let Some(oldest) = self.blocks.front() {
-            let left = self.items - oldest.count();
-            if left < self.capacity || self.blocks.len() == 1 {
+            let left = self.items - oldest.count;
+            let is_old = |forget: Forget| left >= forget.at_least && now.duration_since(oldest.put_at) >= forget.after;
+            if self.blocks.len() == 1 || (left < self.capacity && !self.forget.is_some_and(is_old)) {
                 break;
             }
             self.items = left;
@@ -104,10 +181,9 @@ impl<B: Block> Ring<B> {
         let same_epoch = range.epoch.is_none_or(|epoch| epoch == self.epoch);
         let after = if same_epoch { range.after } else { 0 };
         let first = self.blocks.partition_point(|b| b.end() <= after);
-        let Some(first_block) = self.blocks.get(first) else {
+        let Some(mut answer) = self.blocks.get(first).and_then(Kept::decode::<B>) else {
             return self.answer_at_the_end(after);
         };
-        let mut answer = first_block.clone();
         answer.skip(after.saturating_sub(answer.header().sequence));
         let fits = (ANSWER_BYTES / answer.item_bytes().max(1)).max(1) as u64;
         let limit = range.limit.clamp(1, fits);
@@ -115,7 +191,9 @@ impl<B: Block> Ring<B> {
             if answer.count() >= limit {
                 break;
             }
-            let mut block = block.clone();
+            let Some(mut block) = block.decode::<B>() else {
+                break;
+            };
             block.truncate(limit - answer.count());
             if !answer.append(&block) {
                 break;
@@ -127,13 +205,13 @@ impl<B: Block> Ring<B> {
 
     /// Whoever has all items may still not know that the stream has ended.
     fn answer_at_the_end(&self, after: u64) -> Answer<B> {
-        match self.blocks.back() {
-            Some(last) if self.state == StreamState::Ended && after == self.next => {
-                let mut end = last.clone();
+        let has_all = self.state == StreamState::Ended && after == self.next;
+        match self.blocks.back().filter(|_| has_all).and_then(Kept::decode::<B>) {
+            Some(mut end) => {
                 end.skip(end.count());
                 Answer::Block(end)
             }
-            _ => Answer::CaughtUp(CaughtUp {
+            None => Answer::CaughtUp(CaughtUp {
                 header: Header { source: self.source.clone(), epoch: self.epoch, sequence: self.next, time_ns: 0 },
                 state: self.state,
             }),
@@ -144,7 +222,8 @@ impl<B: Block> Ring<B> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::frames;
+    use crate::message::Message;
+    use crate::testing::{frames, push};
 
     fn range(after: u64, limit: u64) -> QueryRange {
         QueryRange { after, limit, epoch: None }
@@ -153,7 +232,8 @@ mod tests {
     fn ring(capacity: u64, blocks: &[u64]) -> Ring<crate::FrameBlock> {
         let mut ring = Ring::new("source".into(), 1, capacity);
         for &count in blocks {
-            ring.push(frames(1, ring.next(), count)).unwrap();
+            let next = ring.next();
+            push(&mut ring, &frames(1, next, count)).unwrap();
         }
         ring
     }
@@ -186,6 +266,33 @@ mod tests {
     }
 
     #[test]
+    fn what_is_taken_back_is_put_again() {
+        let mut ring = ring(100, &[3, 4, 5]);
+        ring.take_back(5);
+        assert_eq!((ring.next(), numbers(ring.answer(&range(0, 100)))), (5, (0, 5)));
+        push(&mut ring, &frames(1, 5, 9)).unwrap();
+        assert_eq!(numbers(ring.answer(&range(0, 100))), (0, 14));
+    }
+
+    #[test]
+    #[expect(clippy::disallowed_methods, reason = "the beginning of times that are then given")]
+    fn what_is_old_is_forgotten_but_for_the_last_items() {
+        let forget = Forget { at_least: 4, after: Duration::from_secs(30) };
+        let mut ring = ring(100, &[]).forgetting(Some(forget));
+        let start = Instant::now();
+        for second in 0..60 {
+            let block = frames(1, 2 * second, 2);
+            let payload = block.encode().unwrap().into();
+            ring.push(&block, payload, start + Duration::from_secs(second)).unwrap();
+        }
+        assert_eq!(ring.first(), 60, "30 s of the last 60");
+        let late = frames(1, 120, 1);
+        let payload = late.encode().unwrap().into();
+        ring.push(&late, payload, start + Duration::from_secs(1000)).unwrap();
+        assert_eq!((ring.first(), ring.next()), (116, 121), "whole blocks with four items or more");
+    }
+
+    #[test]
     fn who_has_everything_is_told_so() {
         assert!(matches!(
             ring(5, &[3]).answer(&range(3, 9)),
@@ -199,7 +306,7 @@ mod tests {
         let mut ring = ring(5, &[3]);
         let mut last = frames(1, 3, 1);
         last.state = StreamState::Ended;
-        ring.push(last).unwrap();
+        push(&mut ring, &last).unwrap();
         let Answer::Block(end) = ring.answer(&range(4, 9)) else {
             panic!("no block");
         };
@@ -210,9 +317,18 @@ mod tests {
     #[test]
     fn a_higher_epoch_replaces_everything_and_a_lower_one_is_refused() {
         let mut ring = ring(5, &[3]);
-        ring.push(frames(2, 0, 1)).unwrap();
+        push(&mut ring, &frames(2, 0, 1)).unwrap();
         assert_eq!(numbers(ring.answer(&range(0, 9))), (0, 1));
-        assert!(ring.push(frames(1, 3, 1)).is_err());
+        assert!(push(&mut ring, &frames(1, 3, 1)).is_err());
+    }
+
+    #[test]
+    fn a_ring_that_goes_on_expects_the_next_item_and_says_where_it_is() {
+        let mut ring = Ring::new("source".into(), 1, 5).going_on(7, StreamState::Running);
+        assert_eq!((ring.first(), numbers(ring.answer(&range(0, 9)))), (7, (7, 7)));
+        assert!(push(&mut ring, &frames(1, 0, 1)).is_err());
+        push(&mut ring, &frames(1, 7, 2)).unwrap();
+        assert_eq!((ring.first(), numbers(ring.answer(&range(0, 9)))), (7, (7, 9)));
     }
 
     #[test]
@@ -223,7 +339,7 @@ mod tests {
 
     #[test]
     fn a_block_that_skips_items_is_refused() {
-        let error = ring(5, &[3]).push(frames(1, 4, 1)).unwrap_err();
+        let error = push(&mut ring(5, &[3]), &frames(1, 4, 1)).unwrap_err();
         assert_eq!((error.expected, error.found), (3, 4));
     }
 }

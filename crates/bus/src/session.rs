@@ -1,28 +1,36 @@
 //! Opens and closes the Zenoh session.
 
-use std::net::{TcpListener, TcpStream, ToSocketAddrs};
+use std::net::{TcpListener, TcpStream, ToSocketAddrs, UdpSocket};
 use std::num::NonZeroUsize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use zenoh::Session;
 
+use crate::endpoint::{Endpoint, in_order};
 use crate::error::{BusError, ZenohError};
 use crate::follow::Start;
 use crate::keys::{DEFAULT_ROOT, Keys};
-use crate::name::{Name, NameError};
+use crate::message::MAX_MESSAGE_BYTES;
+use crate::name::Name;
+use crate::protection;
 use crate::stream::StreamSettings;
+use crate::tls::TlsConfig;
 
 /// Endpoint of the first Spandrel on a machine: reachable from this machine only.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
+
+/// Bytes that key, encoding and headers of the link may take around a payload.
+pub const AROUND_THE_PAYLOAD: usize = 65_536;
 
 /// How long an endpoint is tried again when the reason of a failure is looked for.
 const DIAGNOSIS: Duration = Duration::from_millis(500);
 
 /// The part that this session plays in the Zenoh network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "lowercase", try_from = "String")]
 pub enum Mode {
     /// Talks to other peers directly.
     #[default]
@@ -33,6 +41,34 @@ pub enum Mode {
     Router,
 }
 
+impl Mode {
+    /// As Zenoh writes it.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Peer => "peer",
+            Self::Client => "client",
+            Self::Router => "router",
+        }
+    }
+}
+
+impl TryFrom<String> for Mode {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        let all = [Self::Peer, Self::Client, Self::Router];
+        let known = all.into_iter().find(|mode| mode.as_str() == text);
+        known.ok_or_else(|| format!("{text:?} is no mode, must be peer, client or router"))
+    }
+}
+
+impl std::fmt::Display for Mode {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
 /// How to join the bus.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -41,7 +77,7 @@ pub struct BusConfig {
     pub root: String,
     /// Peer, client or router; a configuration file takes precedence.
     pub mode: Mode,
-    /// Endpoints to listen on, such as `tcp/0.0.0.0:7447`. Empty: [`DEFAULT_ENDPOINT`] if nothing is to be connected
+    /// Endpoints to listen on, such as `quic/0.0.0.0:7447`; what others than this machine can reach needs `quic`. Empty: [`DEFAULT_ENDPOINT`] if nothing is to be connected
     /// to, otherwise any free port of the loopback interface (peers), or none (clients).
     pub listen: Vec<String>,
     /// Endpoints to connect to. All of them must answer (of a client: one).
@@ -50,8 +86,10 @@ pub struct BusConfig {
     pub connect_timeout_s: Option<f64>,
     /// Messages that wait for each reader of a lossless stream, at least 1; what finds no room is fetched later.
     pub queue: NonZeroUsize,
-    /// A Zenoh configuration file (JSON5), for TLS, access control and all else; the settings above that are not
-    /// empty are laid over it.
+    /// Certificates, for endpoints `quic/…`; both sides have to show one of the same authority.
+    pub tls: Option<TlsConfig>,
+    /// A Zenoh configuration file (JSON5), for access control and all else; the settings above that are not empty are
+    /// laid over it.
     pub config_file: Option<PathBuf>,
 }
 
@@ -64,6 +102,7 @@ impl Default for BusConfig {
             connect: Vec::new(),
             connect_timeout_s: Some(5.0),
             queue: const { NonZeroUsize::new(256).unwrap() },
+            tls: None,
             config_file: None,
         }
     }
@@ -81,69 +120,120 @@ impl BusConfig {
     }
 
     fn zenoh_config(&self) -> Result<zenoh::Config, BusError> {
+        if let Some(found) = self.connect_timeout_s.filter(|seconds| seconds.is_nan() || *seconds < 0.0) {
+            return Err(BusError::ConnectTimeout { found });
+        }
         let mut config = match &self.config_file {
             Some(path) => {
                 zenoh::Config::from_file(path).map_err(|source| BusError::ConfigFile { path: path.clone(), source })?
             }
             None => zenoh::Config::default(),
         };
-        let mut set = |key: &'static str, value: serde_json::Value| {
-            let value = value.to_string();
-            config.insert_json5(key, &value).map_err(|source| BusError::Setting { key, value, source })
-        };
+        let mut set = |key: &'static str, value: Value| set(&mut config, key, &value);
         if self.config_file.is_none() {
-            let mode = match self.mode {
-                Mode::Peer => "peer",
-                Mode::Client => "client",
-                Mode::Router => "router",
-            };
-            set("mode", mode.into())?;
+            set("mode", self.mode.as_str().into())?;
             // On a site network, whoever answers a multicast would become part of the system.
             set("scouting/multicast/enabled", false.into())?;
-            set("listen/endpoints", self.effective_listen().into())?;
+            // Zenoh would put together messages of 1 GiB, only to have them refused here.
+            set("transport/link/rx/max_message_size", (MAX_MESSAGE_BYTES + AROUND_THE_PAYLOAD).into())?;
+            set("listen/endpoints", all_in_order(&self.effective_listen()))?;
         } else if !self.listen.is_empty() {
-            set("listen/endpoints", self.listen.clone().into())?;
+            set("listen/endpoints", all_in_order(&self.listen))?;
         }
         if !self.connect.is_empty() {
-            set("connect/endpoints", self.connect.clone().into())?;
+            set("connect/endpoints", all_in_order(&self.connect))?;
             let (timeout_ms, fail) = match self.connect_timeout_s {
-                Some(seconds) => ((seconds.clamp(0.0, 1e6) * 1e3) as i64, true),
+                Some(seconds) => ((seconds.min(1e6) * 1e3) as i64, true),
                 None => (-1, false),
             };
             set("connect/timeout_ms", timeout_ms.into())?;
             set("connect/exit_on_failure", fail.into())?;
         }
+        if let Some(tls) = &self.tls {
+            let (certificate, key) = (text(&tls.certificate)?, text(&tls.key())?);
+            set("transport/link/tls/root_ca_certificate", text(&tls.authority())?)?;
+            set("transport/link/tls/listen_certificate", certificate.clone())?;
+            set("transport/link/tls/listen_private_key", key.clone())?;
+            set("transport/link/tls/connect_certificate", certificate)?;
+            set("transport/link/tls/connect_private_key", key)?;
+            set("transport/link/tls/enable_mtls", true.into())?;
+            set("transport/link/tls/verify_name_on_connect", true.into())?;
+            set("transport/link/tls/close_link_on_expiration", true.into())?;
+        }
+        protection::check(&mut config)?;
         Ok(config)
     }
 
     /// Zenoh says little when it cannot open a session: tries what it tried, to name the endpoint and the reason.
-    fn diagnose(&self, source: ZenohError) -> BusError {
-        for endpoint in self.effective_listen() {
-            if let Some(Err(source)) = tcp_address(&endpoint).map(TcpListener::bind) {
-                return BusError::Listen { endpoint, source };
+    async fn diagnose(&self, listen: &[String], source: ZenohError) -> BusError {
+        for endpoint in listen {
+            let parts = Endpoint::new(endpoint);
+            let bound = match () {
+                () if parts.is_tcp() => TcpListener::bind(parts.address()).map(drop),
+                () if parts.is_quic() => UdpSocket::bind(parts.address()).map(drop),
+                () => Ok(()),
+            };
+            if let Err(source) = bound {
+                return BusError::Listen { endpoint: endpoint.clone(), place: self.place("listen"), source };
             }
         }
+        let mut answering = None;
         for endpoint in &self.connect {
-            let failure = tcp_address(endpoint).and_then(|address| reach(address).err());
-            if let Some(source) = failure {
-                return BusError::Unreachable { endpoint: endpoint.clone(), source };
+            let parts = Endpoint::new(endpoint);
+            let reached = match &self.tls {
+                Some(tls) if parts.is_quic() => tls.reach(parts.address(), parts.host(), DIAGNOSIS).await,
+                _ if parts.is_tcp() => reach(parts.address()).map(|()| None),
+                _ => Ok(None),
+            };
+            match reached {
+                Err(source) => {
+                    return BusError::Unreachable { endpoint: endpoint.clone(), place: self.place("connect"), source };
+                }
+                Ok(Some(why)) => return BusError::Handshake { endpoint: endpoint.clone(), why },
+                Ok(None) if parts.is_tcp() => answering = Some(endpoint.clone()),
+                Ok(None) => {}
             }
         }
-        BusError::Open { source }
+        match answering {
+            Some(endpoint) => BusError::NoZenoh { endpoint, place: self.place("connect"), source },
+            None => BusError::Open { source },
+        }
+    }
+
+    /// Where endpoints to listen on or to connect to were chosen, in the words of who did.
+    fn place(&self, what: &str) -> String {
+        let is_said_here = match what {
+            "connect" => !self.connect.is_empty(),
+            _ => !self.listen.is_empty(),
+        };
+        match &self.config_file {
+            Some(file) if !is_said_here => format!("{what}/endpoints of {}", file.display()),
+            Some(_) | None => format!("--{what} (bus.{what})"),
+        }
     }
 }
 
-/// `host:port` of a TCP endpoint.
-fn tcp_address(endpoint: &str) -> Option<&str> {
-    let address = endpoint.strip_prefix("tcp/")?;
-    address.split(['?', '#']).next()
+/// Sets one value of a Zenoh configuration.
+pub(crate) fn set(config: &mut zenoh::Config, key: &'static str, value: &Value) -> Result<(), BusError> {
+    let value = value.to_string();
+    config.insert_json5(key, &value).map_err(|source| BusError::Setting { key, value, source })
 }
 
-fn reach(address: &str) -> std::io::Result<TcpStream> {
-    let not_found = || std::io::Error::new(std::io::ErrorKind::NotFound, "no such host");
-    let mut result = Err(not_found());
+/// A path as Zenoh takes it.
+fn text(path: &Path) -> Result<Value, BusError> {
+    let text = path.to_str().ok_or_else(|| BusError::PathNotText { path: path.to_owned() })?;
+    Ok(text.into())
+}
+
+/// Endpoints as Zenoh is given them.
+fn all_in_order(endpoints: &[String]) -> Value {
+    endpoints.iter().map(|endpoint| in_order(endpoint)).collect()
+}
+
+fn reach(address: &str) -> std::io::Result<()> {
+    let mut result = Err(std::io::Error::new(std::io::ErrorKind::NotFound, "no such host"));
     for socket_address in address.to_socket_addrs()? {
-        result = TcpStream::connect_timeout(&socket_address, DIAGNOSIS);
+        result = TcpStream::connect_timeout(&socket_address, DIAGNOSIS).map(drop);
         if result.is_ok() {
             break;
         }
@@ -164,10 +254,39 @@ impl Bus {
     /// # Errors
     /// An endpoint that is taken or does not answer is named, with what to do about it.
     pub async fn open(config: &BusConfig) -> Result<Self, BusError> {
+        if let Some(tls) = &config.tls {
+            tls.check()?;
+        }
         let zenoh_config = config.zenoh_config()?;
+        let listen = protection::listen_endpoints(&zenoh_config)?;
         match zenoh::open(zenoh_config).await {
             Ok(session) => Ok(Self { session, queue: config.queue }),
-            Err(source) => Err(config.diagnose(source)),
+            Err(source) => Err(config.diagnose(&listen, source).await),
+        }
+    }
+
+    /// Opens a session that does nothing but route, from a configuration file of `zenohd`; needs a multi-threaded tokio
+    /// runtime. Returns it with the endpoints that it listens on.
+    ///
+    /// # Errors
+    /// What is wrong with the file is named, as is an endpoint that is taken.
+    pub async fn open_router(file: &Path) -> Result<(Self, Vec<String>), BusError> {
+        let config = BusConfig { config_file: Some(file.to_owned()), ..BusConfig::default() };
+        let mut zenoh_config =
+            zenoh::Config::from_file(file).map_err(|source| BusError::ConfigFile { path: file.to_owned(), source })?;
+        match protection::mode(&zenoh_config)? {
+            // what zenohd takes a file for that does not say
+            None => set(&mut zenoh_config, "mode", &"router".into())?,
+            Some(Mode::Router) => {}
+            Some(found @ (Mode::Peer | Mode::Client)) => {
+                return Err(BusError::NotARouter { path: file.to_owned(), found });
+            }
+        }
+        protection::check(&mut zenoh_config)?;
+        let listen = protection::listen_endpoints(&zenoh_config)?;
+        match zenoh::open(zenoh_config).await {
+            Ok(session) => Ok((Self { session, queue: config.queue }, listen)),
+            Err(source) => Err(config.diagnose(&listen, source).await),
         }
     }
 
@@ -176,6 +295,11 @@ impl Bus {
     pub fn reading(&self, start: Start) -> StreamSettings {
         let settings = StreamSettings::new(start);
         StreamSettings { queue: self.queue.get(), deliveries: self.queue.get().min(settings.deliveries), ..settings }
+    }
+
+    /// Whether a router is connected to: it may allow parties what their roles need, and drop the rest.
+    pub async fn reaches_a_router(&self) -> bool {
+        self.session.info().routers_zid().await.next().is_some()
     }
 
     /// The Zenoh session below, for what this room does not offer.
@@ -199,7 +323,9 @@ impl BusConfig {
     ///
     /// # Errors
     /// The root or the structure is no [`Name`].
-    pub fn keys(&self, structure: &str) -> Result<Keys, NameError> {
-        Ok(Keys::new(Name::new(&*self.root)?, Name::new(structure)?))
+    pub fn keys(&self, structure: &str) -> Result<Keys, BusError> {
+        let root = Name::new(&*self.root).map_err(|source| BusError::Root { source })?;
+        let structure = Name::new(structure).map_err(|source| BusError::Structure { source })?;
+        Ok(Keys::new(root, structure))
     }
 }

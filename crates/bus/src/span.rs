@@ -1,7 +1,11 @@
-//! The parameters of a query for what was: `?from=SECONDS;to=SECONDS;points=COUNT;kind=KIND`.
+//! The parameters of a query for what was: `?from=TIME;to=TIME;points=COUNT;kind=KIND`.
 
 use std::fmt;
 use std::str::FromStr;
+
+use jiff::Timestamp;
+use jiff::civil::DateTime;
+use jiff::tz::TimeZone;
 
 /// Points of an answer when the query names none.
 const DEFAULT_POINTS: usize = 1_000;
@@ -15,6 +19,8 @@ const MOST_POINTS: usize = 20_000;
 /// let query: SpanQuery = "from=1763730000;points=100".parse()?;
 /// assert_eq!((query.from_ns, query.to_ns, query.points), (1_763_730_000_000_000_000, i64::MAX, 100));
 /// assert_eq!(query.kind, "parameter");
+/// let same: SpanQuery = "from=2025-11-21T13:00:00Z;points=100".parse()?;
+/// assert_eq!(same, query);
 /// # Ok::<(), spandrel_bus::SpanError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -34,11 +40,37 @@ pub struct SpanQuery {
 #[error("query parameter {key} is {found:?}, must be {allowed}")]
 pub struct SpanError {
     /// The parameter.
-    pub key: &'static str,
+    pub key: String,
     /// Its value.
     pub found: String,
     /// What it may be.
     pub allowed: &'static str,
+}
+
+/// What a time may be.
+pub const TIMES: &str = "seconds since 1970, UTC, or ISO 8601 such as 2026-03-01T12:00:00Z or 2026-03-01";
+
+/// Reads a time: seconds since 1970, or ISO 8601; without an offset it is UTC, and a day begins at midnight. Returns ns since the
+/// Unix epoch, UTC.
+///
+/// ```
+/// use spandrel_bus::time_ns;
+/// assert_eq!(time_ns("1763730000.5"), Some(1_763_730_000_500_000_000));
+/// assert_eq!(time_ns("2025-11-21T14:00:00+01:00"), Some(1_763_730_000_000_000_000));
+/// assert_eq!(time_ns("2025-11-21"), time_ns("2025-11-21T00:00:00Z"));
+/// assert_eq!(time_ns("yesterday"), None);
+/// ```
+#[must_use]
+pub fn time_ns(text: &str) -> Option<i64> {
+    if let Ok(seconds) = text.parse::<f64>() {
+        // a cast of what no i64 holds stops at its ends
+        return (!seconds.is_nan()).then_some((seconds * 1e9) as i64);
+    }
+    let of_calendar = || text.parse::<DateTime>().ok()?.to_zoned(TimeZone::UTC).ok().map(|zoned| zoned.timestamp());
+    // in the address of a page a plus sign that is not escaped is a space
+    let with_sign = || text.rsplit_once(' ').and_then(|(time, offset)| format!("{time}+{offset}").parse().ok());
+    let time: Timestamp = text.parse().ok().or_else(of_calendar).or_else(with_sign)?;
+    i64::try_from(time.as_nanosecond()).ok()
 }
 
 impl Default for SpanQuery {
@@ -53,12 +85,11 @@ impl FromStr for SpanQuery {
     fn from_str(parameters: &str) -> Result<Self, SpanError> {
         let mut query = Self::default();
         for (key, value) in parameters.split(';').filter_map(|pair| pair.split_once('=')) {
-            let refused = |key, allowed| SpanError { key, found: value.chars().take(32).collect(), allowed };
-            let seconds = |key| match value.parse::<f64>() {
-                // a cast of what no i64 holds stops at its ends
-                Ok(seconds) if !seconds.is_nan() => Ok((seconds * 1e9) as i64),
-                Ok(_) | Err(_) => Err(refused(key, "seconds since 1970, UTC")),
+            let refused = |key: &str, allowed| {
+                let (key, found) = (key.chars().take(32).collect(), value.chars().take(32).collect());
+                SpanError { key, found, allowed }
             };
+            let seconds = |key| time_ns(value).ok_or_else(|| refused(key, TIMES));
             match key {
                 "from" => query.from_ns = seconds("from")?,
                 "to" => query.to_ns = seconds("to")?,
@@ -68,11 +99,16 @@ impl FromStr for SpanQuery {
                 },
                 "kind" if value.len() <= 64 => value.clone_into(&mut query.kind),
                 "kind" => return Err(refused("kind", "a word")),
-                _ => {} // of a later version, or of Zenoh itself
+                _ if key.starts_with('_') => {} // of Zenoh itself
+                _ => return Err(refused(key, "left out: a query has from, to, points and kind")),
             }
         }
         if query.from_ns > query.to_ns {
-            return Err(SpanError { key: "from", found: parameters.chars().take(64).collect(), allowed: "before to" });
+            return Err(SpanError {
+                key: "from".to_owned(),
+                found: parameters.chars().take(64).collect(),
+                allowed: "before to",
+            });
         }
         Ok(query)
     }
@@ -104,6 +140,23 @@ mod tests {
     }
 
     #[test]
+    fn times_are_seconds_or_of_the_calendar() {
+        let noon = Some(1_709_208_000_000_000_000);
+        for text in [
+            "1709208000",
+            "2024-02-29T12:00:00Z",
+            "2024-02-29 12:00:00",
+            "2024-02-29T13:00+01",
+            "2024-02-29T13:00:00 01:00",
+        ] {
+            assert_eq!(time_ns(text), noon, "{text}");
+        }
+        let query: SpanQuery = "from=2024-02-29T12:00:00Z;to=2024-03-01".parse().unwrap();
+        assert_eq!((Some(query.from_ns), query.to_ns), (noon, 1_709_251_200_000_000_000));
+        assert_eq!(time_ns("9999-12-30"), None, "beyond what ns can count");
+    }
+
+    #[test]
     fn what_is_no_span_is_refused_with_what_is_one() {
         for (text, key) in [
             ("from=yesterday", "from"),
@@ -111,9 +164,15 @@ mod tests {
             ("points=0", "points"),
             ("points=20001", "points"),
             ("from=2;to=1", "from"),
+            ("from=2026-13-01", "from"),
+            ("form=2", "form"),
         ] {
             assert_eq!(text.parse::<SpanQuery>().unwrap_err().key, key, "{text}");
         }
+        assert!("_time=[now(-1h)..]".parse::<SpanQuery>().is_ok(), "a parameter of Zenoh itself");
+        let error = "since=2".parse::<SpanQuery>().unwrap_err();
+        let told = "query parameter since is \"2\", must be left out: a query has from, to, points and kind";
+        assert_eq!(error.to_string(), told);
         let error = "points=many".parse::<SpanQuery>().unwrap_err();
         assert_eq!(error.to_string(), "query parameter points is \"many\", must be a whole number from 1 to 20000");
     }

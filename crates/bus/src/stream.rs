@@ -18,6 +18,7 @@ use crate::error::BusError;
 use crate::follow::{Action, Delivery, FollowCounts, Follower, Gap, Silence, Start};
 use crate::message::{Block, CaughtUp, DecodeError, SampleBlock};
 use crate::range::QueryRange;
+use crate::receive::{Intake, read};
 use crate::ring::Answer;
 use crate::session::Bus;
 
@@ -65,6 +66,8 @@ pub struct StreamCounts {
     pub follow: FollowCounts,
     /// Messages that found the queue full.
     pub overflowed: u64,
+    /// Messages dropped unread because too many came at once; they are fetched at the pace of the reader.
+    pub flooded: u64,
     /// Messages refused, by reason.
     pub refused: BTreeMap<&'static str, u64>,
     /// Blocks that the reader's own check found unfit, by its reason.
@@ -85,6 +88,7 @@ impl StreamCounts {
             ("unkept-blocks", follow.unkept_blocks),
             ("impossible-blocks", follow.impossible_blocks),
             ("overflowed-messages", self.overflowed),
+            ("flooded-messages", self.flooded),
         ];
         let counted = counts.into_iter().filter(|(_, count)| *count > 0);
         let mut drops: BTreeMap<String, u64> = counted.map(|(reason, count)| (reason.to_owned(), count)).collect();
@@ -102,6 +106,7 @@ pub struct Stream<B> {
     deliveries: flume::Receiver<Delivery<B>>,
     counts: Arc<Mutex<StreamCounts>>,
     overflowed: Arc<AtomicU64>,
+    flooded: Arc<AtomicU64>,
     _subscriber: Subscriber<()>,
     _reading: JoinSet<()>,
 }
@@ -119,7 +124,8 @@ impl<B: Block> Stream<B> {
     #[must_use]
     pub fn counts(&self) -> StreamCounts {
         let counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
-        StreamCounts { overflowed: self.overflowed.load(Ordering::Relaxed), ..counts.clone() }
+        let load = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        StreamCounts { overflowed: load(&self.overflowed), flooded: load(&self.flooded), ..counts.clone() }
     }
 }
 
@@ -153,11 +159,15 @@ impl Bus {
         let (samples, arrived) = flume::bounded(settings.queue.max(1));
         let (out, deliveries) = flume::bounded(settings.deliveries.max(1));
         let counts = Arc::new(Mutex::new(StreamCounts::default()));
-        let full = overflowed.clone();
+        let flooded = Arc::new(AtomicU64::new(0));
+        let (full, too_often) = (overflowed.clone(), flooded.clone());
+        let intake = Mutex::new(Intake::new());
         let declared = self.session().declare_subscriber(key.clone());
         let subscriber = declared
             .callback(move |sample: Sample| {
-                if samples.try_send(sample).is_err() {
+                if intake.lock().unwrap_or_else(PoisonError::into_inner).take(&sample).is_err() {
+                    too_often.fetch_add(1, Ordering::Relaxed);
+                } else if samples.try_send(sample).is_err() {
                     full.fetch_add(1, Ordering::Relaxed);
                 }
             })
@@ -177,7 +187,7 @@ impl Bus {
         };
         let mut reading = JoinSet::new();
         reading.spawn(reader.run(arrived, out));
-        Ok(Stream { deliveries, counts, overflowed, _subscriber: subscriber, _reading: reading })
+        Ok(Stream { deliveries, counts, overflowed, flooded, _subscriber: subscriber, _reading: reading })
     }
 }
 
@@ -190,6 +200,19 @@ impl Bus {
         match buffer.ask::<SampleBlock>(range).await {
             Fetched::Answer(Answer::CaughtUp(at)) => Some(at),
             Fetched::Answer(Answer::Block(_)) | Fetched::Unreadable(_) | Fetched::Nothing(_) => None,
+        }
+    }
+}
+
+impl Bus {
+    /// Asks for the last item of a stream, and where it stands; none if nobody answers in time, or there is no item yet.
+    pub async fn last_item<B: Block>(&self, buffer_key: &str, timeout: Duration) -> Option<(B, CaughtUp)> {
+        let at = self.stream_position(buffer_key, timeout).await?;
+        let after = at.header.sequence.checked_sub(1)?;
+        let buffer = self.buffer(buffer_key.to_owned(), timeout).await.ok()?;
+        match buffer.ask::<B>(QueryRange { after, limit: 1, epoch: Some(at.header.epoch) }).await {
+            Fetched::Answer(Answer::Block(block)) if block.count() > 0 => Some((block, at)),
+            Fetched::Answer(_) | Fetched::Unreadable(_) | Fetched::Nothing(_) => None,
         }
     }
 }
@@ -248,8 +271,7 @@ impl<B: Block> Reader<B> {
 
     fn arrived(&mut self, sample: &Sample) {
         self.polls = 0;
-        let payload = sample.payload().to_bytes();
-        match B::decode(&sample.encoding().to_string(), &payload) {
+        match read::<B>(sample) {
             Ok(block) if self.fits(&block) => self.follower.live(block, &mut self.actions),
             Ok(_unfit) => {}
             Err(error) => self.refuse(&error),

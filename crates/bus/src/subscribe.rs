@@ -11,9 +11,13 @@ use zenoh::sample::Sample;
 
 use crate::error::BusError;
 use crate::keys::{Topic, parse_key};
-use crate::message::{DecodeError, Message};
+use crate::message::Message;
 use crate::name::Name;
+use crate::receive::{Intake, read};
 use crate::session::Bus;
+
+/// Answers to one query that are kept: more parameters than any structure has.
+const MOST_ANSWERS: usize = 16_384;
 
 /// Messages of one kind, with the keys they were put on; when the queue is full, the oldest is overwritten.
 #[derive(Debug)]
@@ -71,24 +75,34 @@ impl Bus {
         let (sender, messages) = flume::bounded(queue.max(1));
         let refused = Arc::new(Mutex::new(BTreeMap::new()));
         let (oldest, refusals) = (messages.clone(), refused.clone());
+        let intake = Mutex::new(Intake::new());
         let declared = self.session().declare_subscriber(key_expression.clone());
         let subscriber = declared
-            .callback(move |sample: Sample| match read(&sample) {
-                Ok(message) => {
-                    let mut unsent = Some(message);
-                    while let Some(message) = unsent.take() {
-                        if let Err(flume::TrySendError::Full(message)) = sender.try_send(message) {
-                            unsent = Some(message);
-                            if oldest.try_recv().is_ok() {
-                                count(&refusals, "overwritten");
+            .callback(move |sample: Sample| {
+                if let Err(flooded) = intake.lock().unwrap_or_else(PoisonError::into_inner).take(&sample) {
+                    let times = count(&refusals, flooded.reason());
+                    if times.is_power_of_two() {
+                        warn!(reason = flooded.reason(), times, "message dropped unread");
+                    }
+                    return;
+                }
+                match read(&sample) {
+                    Ok(message) => {
+                        let mut unsent = Some((sample.key_expr().to_string(), message));
+                        while let Some(message) = unsent.take() {
+                            if let Err(flume::TrySendError::Full(message)) = sender.try_send(message) {
+                                unsent = Some(message);
+                                if oldest.try_recv().is_ok() {
+                                    count(&refusals, "overwritten");
+                                }
                             }
                         }
                     }
-                }
-                Err(error) => {
-                    let times = count(&refusals, error.reason());
-                    if times.is_power_of_two() {
-                        warn!(key = %sample.key_expr(), %error, times, "message refused");
+                    Err(error) => {
+                        let times = count(&refusals, error.reason());
+                        if times.is_power_of_two() {
+                            warn!(key = %sample.key_expr(), %error, times, "message refused");
+                        }
                     }
                 }
             })
@@ -111,17 +125,13 @@ impl Bus {
             .map_err(|source| BusError::Put { key: key_expression.to_owned(), source })?;
         let mut found = Vec::new();
         while let Ok(reply) = replies.recv_async().await {
-            match reply.result().map(read) {
-                Ok(Ok(message)) => found.push(message),
-                Ok(Err(error)) => warn!(key_expression, %error, "answer refused"),
-                Err(_) => {} // the one asked has nothing
+            let Ok(sample) = reply.result() else { continue }; // the one asked has nothing
+            match read(sample) {
+                Ok(message) if found.len() < MOST_ANSWERS => found.push((sample.key_expr().to_string(), message)),
+                Ok(_) => warn!(key_expression, "more than {MOST_ANSWERS} answers, the others are left out"),
+                Err(error) => warn!(key_expression, %error, "answer refused"),
             }
         }
         Ok(found)
     }
-}
-
-fn read<M: Message>(sample: &Sample) -> Result<(String, M), DecodeError> {
-    let message = M::decode(&sample.encoding().to_string(), &sample.payload().to_bytes())?;
-    Ok((sample.key_expr().to_string(), message))
 }

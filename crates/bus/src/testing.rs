@@ -13,3 +13,10 @@ pub(crate) fn frames(epoch: u64, sequence: u64, count: u64) -> FrameBlock {
         state: StreamState::Running,
     }
 }
+
+/// Puts a block into a ring, as a publisher does.
+#[expect(clippy::disallowed_methods, reason = "a publisher goes by the clock")]
+pub(crate) fn push(ring: &mut crate::Ring<FrameBlock>, block: &FrameBlock) -> Result<(), crate::NotConsecutive> {
+    let payload = crate::message::Message::encode(block).unwrap();
+    ring.push(block, payload.into(), std::time::Instant::now())
+}

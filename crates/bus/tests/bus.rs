@@ -61,7 +61,10 @@ async fn publisher(bus: &Bus, capacity: u64) -> NumberedPublisher<FrameBlock> {
         buffer_key: keys().recording(),
         source: "source".into(),
         epoch: 1,
+        first: 0,
+        state: StreamState::Running,
         capacity,
+        forget: None,
     };
     bus.publish_numbered(stream).await.unwrap()
 }
@@ -348,4 +351,33 @@ async fn a_client_talks_to_another_through_a_router() {
     let stream = reader(&second, StreamSettings::new(Start::Beginning)).await;
     publisher.put(frames(1, 0, 5)).await.unwrap();
     read_all(&stream, 5).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_source_that_floods_is_dropped_unread_and_counted() {
+    const PUT: u64 = 150_000;
+    let bus = Bus::open(&listening(&free_endpoint())).await.unwrap();
+    let key = keys().event();
+    let reader = bus.subscribe::<Event>(key.clone(), PUT as usize).await.unwrap();
+    let event = Event {
+        structure: keys().structure().clone(),
+        time_ns: 0,
+        kind: EventKind::Gap,
+        subject: "tower".into(),
+        what: "flood".into(),
+        why: "it can".into(),
+    };
+    let publisher = bus.publish_display::<Event>(key).await.unwrap();
+    #[expect(clippy::disallowed_methods, reason = "the limit goes by the clock of the wall")]
+    let start = std::time::Instant::now();
+    for _ in 0..PUT {
+        publisher.put(&event).await.unwrap();
+    }
+    let flooded = reader.refused().get("flood").copied().unwrap_or(0);
+    let taken = reader.messages().len() as u64;
+    // 20,000 at once, and 10,000 for each second that it took; one second for the rounding at both ends
+    let allowed = 30_000 + 10_000 * start.elapsed().as_secs() + 10_000;
+    assert_eq!(taken + flooded, PUT);
+    assert!(taken <= allowed, "{taken} messages were taken, {allowed} are allowed");
+    bus.close().await.unwrap();
 }

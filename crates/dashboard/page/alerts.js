@@ -80,9 +80,9 @@ export class AlertsPage {
   }
 
   #make(canAcknowledge) {
-    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence" }), seen: h("p", { class: "seen" }), when: h("time"), link: h("a", { class: "button small" }, "Show the moment") };
+    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence" }), now: h("p", { class: "now" }), seen: h("p", { class: "seen" }), when: h("time"), link: h("a", { class: "button small" }, "Show the moment") };
     parts.button = canAcknowledge ? h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(parts.alert) }, "Acknowledge") : null;
-    parts.element = h("li", { class: "card alert" }, h("div", { class: "card-head" }, parts.badge, parts.who, parts.when), parts.why, parts.seen, h("div", { class: "actions" }, parts.button, parts.link));
+    parts.element = h("li", { class: "card alert" }, h("div", { class: "card-head" }, parts.badge, parts.who, parts.when), parts.why, parts.now, parts.seen, h("div", { class: "actions" }, parts.button, parts.link));
     return parts;
   }
 }
@@ -95,6 +95,8 @@ function updateAlert(parts, alert) {
   setText(parts.badge, `${state.sign} ${state.word}${alert.stale ? " (stale: the alert service is gone)" : ""}`);
   setText(parts.who, `${alert.structure} / ${alert.parameter}`);
   setText(parts.why, alert.why);
+  parts.now.hidden = !alert.now;
+  setText(parts.now, alert.now ? `By the newest value: ${alert.now}` : "");
   setText(parts.when, time(alert.time_ns / 1e9));
   setText(parts.seen, alert.acknowledged_by ? `Seen by ${alert.acknowledged_by}${alert.note ? `: ${alert.note}` : ""}` : "");
   parts.seen.hidden = !alert.acknowledged_by;

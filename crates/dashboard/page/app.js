@@ -3,6 +3,7 @@
 import { AlertsPage } from "./alerts.js";
 import { Connection } from "./connection.js";
 import { h, setText } from "./dom.js";
+import { letIn, watchSession } from "./entrance.js";
 import { OverviewPage } from "./overview.js";
 import { StructurePage } from "./structure.js";
 import { duration } from "./words.js";
@@ -74,5 +75,7 @@ function showAlerts({ structures }) {
 connection.on("state", showState);
 connection.on("overview", showAlerts);
 document.getElementById("skip").addEventListener("click", () => main.focus());
+await letIn(main);
+watchSession(connection);
 addEventListener("hashchange", route);
 route();

@@ -1,7 +1,7 @@
 // The structure as its file describes it, coloured by probability of loss, with its sensors.
 
 import { h, s, setAttribute, setText } from "./dom.js";
-import { HEALTH, STEPS, probability, step } from "./words.js";
+import { HEALTH, STEPS, probability, sensorName, step } from "./words.js";
 
 /** Size of the drawing in its own units. */
 const WIDTH = 420;
@@ -47,11 +47,11 @@ export class Drawing {
       }
     }
     const health = new Map(sensors.map((sensor) => [sensor.channel, sensor.health]));
-    for (const { channel, element, sign, title } of this.#sensors) {
+    for (const { channel, name, element, sign, title } of this.#sensors) {
       const { sign: shape, word, level } = HEALTH[health.get(channel) ?? "unknown"];
       setText(sign, shape);
       setAttribute(element, "data-level", level);
-      setText(title, `sensor ${channel}: ${word}`);
+      setText(title, `${name}: ${word}`);
     }
   }
 
@@ -149,10 +149,12 @@ export class Drawing {
       const [x, y] = place(sensor.point, count);
       const sign = s("text", { x, y, class: "sign", "dominant-baseline": "central" });
       const title = s("title", {});
-      const isLast = sensors.filter((other) => other.point === sensor.point).length === count + 1;
-      const name = named && isLast ? s("text", { x: x + 12, y, class: "beside", "dominant-baseline": "central" }, sensor.node) : null;
+      const here = sensors.filter((other) => other.point === sensor.point);
+      const isLast = here.length === count + 1;
+      const text = here.map((other) => other.channel).join(", ");
+      const name = named && isLast ? s("text", { x: x + 12, y, class: "beside", "dominant-baseline": "central" }, text) : null;
       const element = s("g", { class: "sensor" }, title, sign, name);
-      this.#sensors.push({ channel: sensor.channel, element, sign, title });
+      this.#sensors.push({ channel: sensor.channel, name: sensorName(sensor), element, sign, title });
       this.svg.append(element);
     }
   }

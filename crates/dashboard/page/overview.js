@@ -44,6 +44,7 @@ function makeCard(structure) {
   const sign = h("span", { class: "sign", "aria-hidden": "true" });
   const word = h("span", { class: "word" });
   const sentence = h("p", { class: "sentence" });
+  const now = h("p", { class: "now" });
   const stale = h("span", { class: "badge", "data-level": "stale" });
   const element = h(
     "li",
@@ -57,6 +58,7 @@ function makeCard(structure) {
     ),
     h("p", { class: "description" }, structure.description),
     sentence,
+    now,
     h(
       "dl",
       { class: "facts" },
@@ -68,15 +70,16 @@ function makeCard(structure) {
       fact("alert", "Last alert"),
     ),
   );
-  return { element, fields, sign, word, sentence, stale };
+  return { element, fields, sign, word, sentence, now, stale };
 }
 
-function updateCard({ element, fields, sign, word, sentence, stale }, structure) {
+function updateCard({ element, fields, sign, word, sentence, now, stale }, structure) {
   const level = LEVELS[structure.level];
   element.dataset.level = structure.level;
   setText(sign, level.sign);
   setText(word, level.word);
   setText(sentence, structure.sentence);
+  showNow(now, structure.now, structure.age_s);
   showStale(stale, structure);
   const { worst, last_alert: last, sensors } = structure;
   setText(fields.worst, worst ? `${worst.parameter}: ${ratio(worst.mean)} ± ${ratio(worst.std)}` : "–");
@@ -84,10 +87,16 @@ function updateCard({ element, fields, sign, word, sentence, stale }, structure)
   setText(fields.probability, worst ? probability(worst.probability_of_loss) + asked : "–");
   const troubled = sensors.troubled.length > 0 ? ` – not: ${sensors.troubled.join(", ")}` : "";
   setText(fields.sensors, `${sensors.alive} of ${sensors.total}${troubled}`);
-  setText(fields.lag, lag(structure.lag_s));
+  setText(fields.lag, lag(structure.lag_s, structure.replayed));
   setText(fields.age, age(structure));
   const at = last && structure.time_s ? `, ${duration(structure.time_s - last.time_s)} before the newest data` : "";
   setText(fields.alert, last ? `${STATES[last.state].sign} ${last.parameter} ${STATES[last.state].word}${at}` : "none");
+}
+
+/** Says beside the sentence of an alert, which stays that of its change, what the newest value says. */
+export function showNow(line, now, age_s) {
+  line.hidden = !now;
+  if (now) setText(line, `${age_s === null || age_s > 3 ? "By the last value" : "Now"}: ${now}`);
 }
 
 /** Says beside any other level that nothing new comes. */
@@ -98,6 +107,6 @@ export function showStale(badge, { age_s, level }) {
 
 /** How old the data of a structure are. */
 export function age({ age_s }) {
-  if (age_s === null) return "none yet";
+  if (age_s === null) return "none since this page was started";
   return age_s < 1.5 ? "new" : `${duration(age_s)} old`;
 }

@@ -3,10 +3,11 @@
 import { AcknowledgeDialog } from "./alerts.js";
 import { h, keyed, setText } from "./dom.js";
 import { Drawing } from "./drawing.js";
-import { age, showStale } from "./overview.js";
+import { NodeTable } from "./nodes.js";
+import { age, showNow, showStale } from "./overview.js";
 import { classPlot, consistencyPlot, innovationPlot, nodePlot, noisePlot, outlierPlot, parameterPlot } from "./plots.js";
 import { LENGTHS, Points, Span } from "./span.js";
-import { HEALTH, LEVELS, STATES, duration, lag, number, percent, place, probability, ratio, step, time } from "./words.js";
+import { HEALTH, LEVELS, STATES, duration, lag, number, percent, place, probability, ratio, sensorName, step, time } from "./words.js";
 
 /** How often plots are drawn (ms), however often points come. */
 const DRAW_EVERY_MS = 250;
@@ -96,6 +97,7 @@ export class StructurePage {
     this.events = h("ul", { class: "events" });
     this.noEvents = h("p", { class: "group-text" }, "None since the dashboard was started.");
     this.sensorList = h("ul", { class: "sensor-list" });
+    this.sensorNames = new Map(about.drawing.sensors.map((sensor) => [sensor.channel, `${sensorName(sensor)} of node ${sensor.node}`]));
     this.services = h("tbody");
     this.groups = {};
     const group = (key, title, text) => {
@@ -119,6 +121,8 @@ export class StructurePage {
       h("section", { class: "card" }, h("h2", {}, "Services"), h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, ["Service", "State", "Lag", "Done", "Dropped or mended"].map((text) => h("th", { scope: "col" }, text)))), this.services))),
       this.dialog.element,
     );
+    this.nodes = new NodeTable();
+    this.groups.nodes.holder.before(this.nodes.element);
     for (const parameter of about.parameters) this.#plot("parameters", parameter.name, () => parameterPlot(parameter, standing, this.points, this.span));
   }
 
@@ -159,12 +163,13 @@ export class StructurePage {
     this.head.dataset.level = overview.level;
     const { sensors } = overview;
     const raised = (this.#standing?.alerts ?? []).filter((alert) => ["raised", "cleared"].includes(alert.state));
-    this.parts ??= { badge: h("span", { class: "badge" }), stale: h("span", { class: "badge", "data-level": "stale" }), sentence: h("p", { class: "sentence" }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }) };
-    if (this.head.childElementCount === 0) this.head.append(this.parts.badge, " ", this.parts.stale, this.parts.sentence, this.parts.actions, this.parts.facts);
+    this.parts ??= { badge: h("span", { class: "badge" }), stale: h("span", { class: "badge", "data-level": "stale" }), sentence: h("p", { class: "sentence" }), now: h("p", { class: "now" }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }) };
+    if (this.head.childElementCount === 0) this.head.append(this.parts.badge, " ", this.parts.stale, this.parts.sentence, this.parts.now, this.parts.actions, this.parts.facts);
     setText(this.parts.badge, `${level.sign} ${level.word}`);
     setText(this.parts.sentence, overview.sentence);
+    showNow(this.parts.now, overview.now, overview.age_s);
     showStale(this.parts.stale, overview);
-    setText(this.parts.facts, `Data: ${age(overview)}${overview.time_s ? `, measured ${time(overview.time_s)}` : ""} · lag ${lag(overview.lag_s)} · sensors alive ${sensors.alive} of ${sensors.total}`);
+    setText(this.parts.facts, `Data: ${age(overview)}${overview.time_s ? `, measured ${time(overview.time_s)}` : ""} · ${overview.replayed ? lag(null, true) : `lag ${lag(overview.lag_s)}`} · sensors alive ${sensors.alive} of ${sensors.total}`);
     keyed(
       this.parts.actions,
       raised,
@@ -188,6 +193,7 @@ export class StructurePage {
     if (Object.keys(standing.nodes).length > 0) {
       const nodes = [...new Set(this.about.drawing.sensors.map((sensor) => sensor.node))];
       this.#plot("nodes", "all", () => nodePlot(nodes, this.points, this.span));
+      this.nodes.update(nodes, standing.nodes);
     }
     this.dialog.update(standing.alerts);
     this.#plots.forEach((plot) => plot.plot.marks && plot.dirty());
@@ -225,7 +231,7 @@ export class StructurePage {
       part.element.dataset.level = health.level;
       const share = outliers[sensor.channel] ? `, ${percent(outliers[sensor.channel].recent_share)} rejected` : "";
       const distance = nodes[sensor.node]?.distance;
-      setText(part.element, `${health.sign} ${sensor.channel}: ${health.word}${share}${distance ? `, distance ${number(distance)}` : ""}`);
+      setText(part.element, `${health.sign} ${this.sensorNames.get(sensor.channel) ?? sensor.channel}: ${health.word}${share}${distance ? `, distance ${number(distance)}` : ""}`);
     });
     keyed(
       this.services,
@@ -235,10 +241,10 @@ export class StructurePage {
         const cells = Array.from({ length: 5 }, () => h("td"));
         return { element: h("tr", {}, cells), cells };
       },
-      ({ cells }, { service, id, present, status }) => {
+      ({ cells }, { service, id, present, lag_s, status }) => {
         setText(cells[0], service === id ? service : `${service} ${id}`);
         setText(cells[1], present ? "● there" : "✕ gone");
-        setText(cells[2], lag(status?.lag_s ?? null));
+        setText(cells[2], lag(lag_s));
         setText(cells[3], status ? String(status.done) : "–");
         setText(cells[4], Object.entries(status?.drops ?? {}).map(([reason, count]) => `${reason} ${count}`).join(", ") || "nothing");
       },

@@ -31,6 +31,14 @@ export const HEALTH = {
   unknown: { sign: "○", word: "not heard of yet", level: "learning" },
 };
 
+/** And for nodes that identify for themselves. */
+export const NODES = {
+  used: { sign: "●", word: "alive", level: "normal" },
+  silent: { sign: "○", word: "silent", level: "warning" },
+  excluded: { sign: "◆", word: "excluded: disagrees with the others", level: "warning" },
+  ended: { sign: "■", word: "ended", level: "learning" },
+};
+
 /** Steps of the probability of loss: the drawing and its key use the same. */
 export const STEPS = [
   { below: 0.05, text: "below 5 %" },
@@ -73,6 +81,16 @@ export function number(value) {
   return String(Number(value.toPrecision(4)));
 }
 
+/** An amount of payload. */
+export function bytes(count) {
+  if (count < 1000) return `${count} B`;
+  if (count < 1e6) return `${(count / 1e3).toFixed(1)} kB`;
+  return `${(count / 1e6).toFixed(1)} MB`;
+}
+
+/** Times before this are those of a record that begins at 0: three years, longer than any. */
+const WITHOUT_DATES_BEFORE_S = 1e8;
+
 /** How long something is, in words. */
 export function duration(seconds) {
   const size = Math.abs(seconds);
@@ -83,8 +101,9 @@ export function duration(seconds) {
   return `${Math.round(size / 86400)} days`;
 }
 
-/** A time of measurement, UTC as in the sentences of the alerts. */
+/** A time of measurement, UTC as in the sentences of the alerts; of a record without dates the second of the record. */
 export function time(seconds) {
+  if (Math.abs(seconds) < WITHOUT_DATES_BEFORE_S) return `${seconds.toFixed(2)} s`;
   return new Date(1000 * seconds).toISOString().replace("T", " ").replace(/\.\d+Z/, " UTC");
 }
 
@@ -94,11 +113,17 @@ export function clock(seconds, digits = 0) {
   return text.slice(11, digits ? 20 + digits : 19);
 }
 
-/** How far behind the sensors the identification is. */
-export function lag(seconds) {
+/** How far behind the sensors the identification is; the times of a record that is replayed say nothing of it. */
+export function lag(seconds, replayed) {
+  if (replayed) return "replayed record";
   if (seconds === null) return "–";
   if (seconds < -1) return `−${duration(seconds)} (ahead of time)`;
   return duration(Math.max(seconds, 0));
+}
+
+/** A channel with what it measures, as the structure file names it. */
+export function sensorName({ channel, quantity, unit: of }) {
+  return `${channel} (${quantity.replaceAll("-", " ")}, ${unit(of)})`;
 }
 
 /** Units as people write them. */

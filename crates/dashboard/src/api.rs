@@ -1,10 +1,13 @@
 //! The HTTP interface: what can be asked, and what a mistake is answered with.
 
+use crate::entrance::{self, SESSION_PATH, pass, signed};
+use crate::gate::Visitor;
+use crate::health::{self, LIVE_PATH, READY_PATH};
 use crate::history::{self, Asked, Format, Refused, Request};
 use crate::live;
 use crate::metrics::{self, metrics};
 use crate::overview::overview;
-use crate::page::{ASSETS, with_headers};
+use crate::page::{ASSETS, TRANSPORT_SECURITY, with_headers};
 use crate::server::{Server, now_ns};
 use crate::store::Store;
 use crate::view::{Standing, changes, standing_alerts};
@@ -12,12 +15,12 @@ use axum::extract::rejection::{JsonRejection, QueryRejection};
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{DefaultBodyLimit, Path, Query, State};
-use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE, HOST, ORIGIN};
-use axum::http::{HeaderMap, Method, StatusCode, Uri};
-use axum::middleware::map_response;
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE, HOST, ORIGIN, STRICT_TRANSPORT_SECURITY};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
+use axum::middleware::{from_fn_with_state, map_response, map_response_with_state};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{MethodRouter, get, post};
-use axum::{Json, Router};
+use axum::routing::{MethodRouter, delete, get, post};
+use axum::{Extension, Json, Router};
 use serde::Deserialize;
 use serde_json::json;
 use spandrel_bus::{Acknowledgement, AlertState, Name};
@@ -44,8 +47,13 @@ fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
         ("/api/structures/{structure}/alerts/{parameter}/acknowledge", Method::POST, post(acknowledge)),
         ("/api/alerts", Method::GET, get(alerts)),
         ("/api/live", Method::GET, get(listen)),
+        (SESSION_PATH, Method::GET, get(entrance::who)),
+        (SESSION_PATH, Method::POST, post(entrance::enter)),
+        (SESSION_PATH, Method::DELETE, delete(entrance::leave)),
         ("/api/openapi.json", Method::GET, get(openapi)),
         ("/metrics", Method::GET, get(read_metrics)),
+        (LIVE_PATH, Method::GET, get(health::live)),
+        (READY_PATH, Method::GET, get(health::ready)),
     ]
 }
 
@@ -56,20 +64,30 @@ pub(crate) fn router(server: Arc<Server>) -> Router {
     all.fallback(nothing_there)
         .method_not_allowed_fallback(wrong_method)
         .layer(DefaultBodyLimit::max(LARGEST_BODY))
+        .layer(from_fn_with_state(server.clone(), pass))
         .layer(map_response(with_headers))
+        .layer(map_response_with_state(server.clone(), with_transport_security))
         .with_state(server)
+}
+
+/// Tells browsers that came over TLS to come over nothing else.
+async fn with_transport_security(State(server): Shared, mut response: Response) -> Response {
+    if server.gate().is_secure() {
+        response.headers_mut().insert(STRICT_TRANSPORT_SECURITY, HeaderValue::from_static(TRANSPORT_SECURITY));
+    }
+    response
 }
 
 /// An answer that says what is wrong, and what is allowed.
 #[derive(Debug)]
-struct Mistake {
+pub(crate) struct Mistake {
     status: StatusCode,
     what: String,
     allowed: String,
 }
 
 impl Mistake {
-    fn new(status: StatusCode, what: impl Into<String>, allowed: impl Into<String>) -> Self {
+    pub(crate) fn new(status: StatusCode, what: impl Into<String>, allowed: impl Into<String>) -> Self {
         Self { status, what: what.into(), allowed: allowed.into() }
     }
 }
@@ -123,7 +141,7 @@ fn find<'s>(server: &'s Server, name: &str) -> Result<MutexGuard<'s, Store>, Mis
 }
 
 /// Refuses what the page of another site sends: browsers say where a request comes from, scripts do not.
-fn check_origin(headers: &HeaderMap) -> Result<(), Mistake> {
+pub(crate) fn check_origin(headers: &HeaderMap) -> Result<(), Mistake> {
     let Some(origin) = headers.get(ORIGIN) else { return Ok(()) };
     let origin = origin.to_str().ok().and_then(|origin| origin.split_once("://")).map(|(_, authority)| authority);
     let host = headers.get(HOST).and_then(|host| host.to_str().ok());
@@ -219,6 +237,7 @@ struct Seen {
 async fn acknowledge(
     State(server): Shared,
     Path((structure, parameter)): Path<(String, String)>,
+    visitor: Option<Extension<Visitor>>,
     headers: HeaderMap,
     seen: Result<Json<Seen>, JsonRejection>,
 ) -> Result<Response, Mistake> {
@@ -244,6 +263,7 @@ async fn acknowledge(
     let (Ok(structure), Ok(parameter)) = names else {
         return refuse("a name is none", "must be lower-case letters, digits and hyphens".to_owned());
     };
+    let who = signed(who, visitor.as_ref());
     let acknowledgement = Acknowledgement { structure, parameter, time_ns: now_ns(), who, note };
     if let Err(error) = server.acknowledge(&acknowledgement).await {
         return Err(Mistake::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string(), "try again"));

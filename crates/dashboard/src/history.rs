@@ -8,7 +8,7 @@ use crate::series::{Series, Table};
 use crate::store::Store;
 use crate::topic::{Kind, SeriesName};
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{HistorySpan, Name, Service, SpanQuery};
+use spandrel_bus::{HistorySpan, Name, Service, SpanQuery, TIMES, time_ns};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
@@ -25,9 +25,9 @@ const MOST_SERIES: usize = 256;
 pub(crate) struct Asked {
     /// Names, separated by commas.
     series: Option<String>,
-    /// Seconds since the Unix epoch, UTC.
-    from: Option<f64>,
-    to: Option<f64>,
+    /// Seconds since the Unix epoch, UTC, or ISO 8601.
+    from: Option<String>,
+    to: Option<String>,
     points: Option<usize>,
     #[serde(default)]
     pub(crate) format: Format,
@@ -118,12 +118,20 @@ impl Request {
         if !(1..=MOST_POINTS).contains(&points) {
             return refuse(format!("points is {points}"), "must be from 1 to 20000");
         }
-        let (from, to) = (asked.from.unwrap_or(f64::MIN), asked.to.unwrap_or(f64::MAX));
-        if from.is_nan() || to.is_nan() || from > to {
-            return refuse(format!("the span is from {from} to {to}"), "must be seconds since 1970, from before to");
+        let time = |name: &str, text: &Option<String>, missing: i64| match text {
+            None => Ok(missing),
+            Some(text) => time_ns(text).ok_or_else(|| Refused {
+                what: format!("{name} is `{}`", shortened(text)),
+                allowed: format!("must be {TIMES}"),
+            }),
+        };
+        let (from_ns, to_ns) = (time("from", &asked.from, i64::MIN)?, time("to", &asked.to, i64::MAX)?);
+        if from_ns > to_ns {
+            let seconds = |time_ns: i64| time_ns as f64 / 1e9;
+            let what = format!("the span is from {} to {} s", seconds(from_ns), seconds(to_ns));
+            return refuse(what, "from must come before to");
         }
-        // a cast of what no i64 holds stops at its ends
-        Ok(Self { series, from_ns: (from * 1e9) as i64, to_ns: (to * 1e9) as i64, points })
+        Ok(Self { series, from_ns, to_ns, points })
     }
 }
 
@@ -234,12 +242,19 @@ impl Span {
         for (time_ns, values) in rows {
             let mut cells = vec![String::new(); width];
             for (column, value) in values.into_iter().filter(|(_, value)| value.is_finite()) {
-                cells[column] = value.to_string();
+                cells[column] = shortest(value);
             }
             let _ = writeln!(text, "{},{}", iso_8601(time_ns), cells.join(","));
         }
         text
     }
+}
+
+/// A number in the fewest digits that are read back as the same, with an exponent where zeros would be written instead.
+fn shortest(value: f64) -> String {
+    /// Sizes that are read more easily without an exponent.
+    const PLAIN: std::ops::Range<f64> = 1e-5..1e16;
+    if value == 0.0 || PLAIN.contains(&value.abs()) { value.to_string() } else { format!("{value:e}") }
 }
 
 fn iso_8601(time_ns: i64) -> String {

@@ -12,7 +12,7 @@
 //! let config = BusConfig::default();
 //! let (bus, keys) = (Bus::open(&config).await?, config.keys(structure.name())?);
 //! let id = Name::new("dashboard")?;
-//! let dashboard = DashboardService::start(&[(&structure, keys)], &bus, &Listen::Default, id).await?;
+//! let dashboard = DashboardService::start(&[(&structure, keys)], &bus, &Listen::Default.into(), id).await?;
 //! dashboard.run(std::future::pending()).await?;
 //! # Ok(())
 //! # }
@@ -29,10 +29,14 @@
 
 mod error;
 
+mod gate;
+mod tokens;
+
 mod series;
 mod topic;
 
 mod about;
+mod arrivals;
 mod innovations;
 mod store;
 
@@ -45,7 +49,11 @@ mod history;
 mod listen;
 mod server;
 
+mod door;
+
 mod api;
+mod entrance;
+mod health;
 mod live;
 mod metrics;
 mod page;
@@ -55,5 +63,7 @@ mod service;
 #[cfg(test)]
 mod testing;
 
+pub use door::PageCertificate;
 pub use error::DashboardError;
-pub use service::{DEFAULT_ADDRESS, DashboardService, Listen};
+pub use service::{DEFAULT_ADDRESS, DashboardService, Listen, PageSettings};
+pub use tokens::{PageRole, Token, Tokens};

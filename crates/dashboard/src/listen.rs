@@ -3,8 +3,8 @@
 use crate::store::Input;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Bus, BusError, EstimateBlock, Event, HistoryLog, Keys, LiveWatch, ModelClassDisplay,
-    Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Service, SpanQuery, Status, Subscription, Topic,
-    parse_key,
+    Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, ProgressWatch, Service, SpanQuery,
+    Status, Subscription, Topic, parse_key,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -37,6 +37,8 @@ pub(crate) struct Listening {
     acknowledgements: Subscription<Acknowledgement>,
     events: Subscription<Event>,
     statuses: Subscription<Status>,
+    ingested: ProgressWatch,
+    last_ingested: Option<Progress>,
     live: Vec<LiveWatch>,
     present: BTreeSet<(Service, Name)>,
     asked: JoinSet<Result<Vec<(String, AlertMessage)>, BusError>>,
@@ -60,6 +62,8 @@ impl Listening {
             acknowledgements: bus.subscribe(keys.all_acknowledgements(), ALERTS_WAITING).await?,
             events: bus.subscribe(keys.event(), ALERTS_WAITING).await?,
             statuses: bus.subscribe(keys.all_statuses(), ALERTS_WAITING).await?,
+            ingested: bus.watch_progress(keys.progress(Service::Ingest)).await?,
+            last_ingested: None,
             live,
             present: BTreeSet::new(),
             asked: JoinSet::new(),
@@ -87,6 +91,12 @@ impl Listening {
     /// Adds what has come since the last time; what is on a key that says otherwise is left out.
     pub(crate) fn gather(&mut self, inputs: &mut Vec<Input>) {
         self.gather_present(inputs);
+        // before the values: it says which of them are live
+        let ingested = self.ingested.latest();
+        if ingested != self.last_ingested {
+            inputs.extend(ingested.clone().map(Input::Ingested));
+            self.last_ingested = ingested;
+        }
         let keys = self.keys.clone();
         let root = keys.root();
         inputs.extend(self.statuses.gather(root, |_| None).map(Input::Status));

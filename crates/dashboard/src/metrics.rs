@@ -198,6 +198,7 @@ mod tests {
             id: crate::testing::name("ingest"),
             time_ns: 0,
             lag_s: None,
+            pace: None,
             done: 1,
             drops: [("a\"} 1\nspandrel_up 0 #".to_owned(), 3)].into(),
             restarts: 0,

@@ -4,6 +4,10 @@ use crate::sensors::{SensorHealth, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{AlertMessage, AlertState, Phase, Service};
+use std::time::Duration;
+
+/// For so long a structure of which nothing has come yet may just be starting.
+const NEVER_MEASURED_AFTER: Duration = Duration::from_secs(30);
 
 /// How urgent a structure is, the most urgent first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -31,9 +35,13 @@ pub(crate) struct Overview {
     pub(crate) level: Level,
     /// Why it has this level, for a person.
     pub(crate) sentence: String,
+    /// What the newest value says of the alert of the sentence, where that is newer.
+    pub(crate) now: Option<String>,
     pub(crate) worst: Option<Worst>,
-    /// Wall clock less time of the last frame identified (s); negative when a simulation is ahead of time.
+    /// Wall clock less time of the last frame identified (s); none where nothing comes, or it comes from a record.
     pub(crate) lag_s: Option<f64>,
+    /// Whether the samples come from a record or a simulation, at times of their own.
+    pub(crate) replayed: bool,
     /// How long ago something was heard (s).
     pub(crate) age_s: Option<f64>,
     /// Time of measurement of the newest value (s since the Unix epoch, UTC).
@@ -77,6 +85,8 @@ pub(crate) struct LastAlert {
 pub(crate) fn overview(store: &Store) -> Overview {
     let sensors = sensor_count(store);
     let (level, sentence) = attention(store, &sensors);
+    let told = store.alerts.values().find(|alert| sentence.starts_with(alert.why.as_str()));
+    let now = told.and_then(|alert| store.present_loss(alert));
     let worst = store.parameters.values().filter(|display| is_stiffness(store, display.parameter.as_str()));
     // among several that are certain the one that has lost most
     let worst = worst.max_by(|a, b| {
@@ -102,8 +112,10 @@ pub(crate) fn overview(store: &Store) -> Overview {
         description: store.about.description.clone(),
         level,
         sentence,
+        now,
         worst,
-        lag_s: lag_s(store),
+        lag_s: store.told_lag(lag_s(store)),
+        replayed: store.is_replayed(),
         age_s: store.silence().map(|silence| silence.as_secs_f64()),
         time_s: store.time_ns.map(|time_ns| time_ns as f64 / 1e9),
         sensors,
@@ -149,7 +161,10 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
         return (Level::Alarm, format!("{}{others}", first.why));
     }
     if store.is_stale() {
-        return (Level::Stale, "nothing is measured: what is shown is how it was".to_owned());
+        let as_it_was = "nothing is measured: what is shown is how it was";
+        // what somebody has said to look at is not over because no data come
+        let seen = alerts_in(store, AlertState::Acknowledged).next();
+        return (Level::Stale, seen.map_or(as_it_was.to_owned(), |seen| format!("{}; {as_it_was}", seen.why)));
     }
     if let Some(pending) = alerts_in(store, AlertState::Pending).next() {
         return (Level::Warning, pending.why.clone());
@@ -166,6 +181,11 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     }
     if let Some(cleared) = alerts_in(store, AlertState::Cleared).next() {
         return (Level::Notice, cleared.why.clone());
+    }
+    if store.data_heard.is_none() && store.now >= NEVER_MEASURED_AFTER {
+        let sentence =
+            "nothing has been measured since this page was started: see which services and sensors are there";
+        return (Level::Stale, sentence.to_owned());
     }
     if store.data_heard.is_none() {
         return (Level::Learning, "waiting for the first estimates".to_owned());

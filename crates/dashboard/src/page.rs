@@ -1,14 +1,24 @@
 //! The page: files that are part of the program, and the headers under which a browser gets them.
 
 use axum::http::header::{
-    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
-use axum::http::{HeaderMap, HeaderValue};
+use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse, Response};
 
 /// What the page may do: load its own files, talk to its own server, and nothing else.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// Pages of other sites neither hold this one nor load anything of it, and it uses no device.
+const OTHERS: [(&str, &str); 3] = [
+    ("cross-origin-opener-policy", "same-origin"),
+    ("cross-origin-resource-policy", "same-origin"),
+    ("permissions-policy", "camera=(), geolocation=(), microphone=(), payment=(), usb=()"),
+];
+
+/// For so long (s) a browser that has come over TLS comes over nothing else: a year.
+pub(crate) const TRANSPORT_SECURITY: &str = "max-age=31536000";
 
 /// A file of the page.
 #[derive(Clone, Copy, Debug)]
@@ -36,12 +46,14 @@ pub(crate) const ASSETS: &[Asset] = &[
     asset!("/uplot.js", SCRIPT, "../vendor/uplot/uPlot.iife.min.js"),
     asset!("/uplot-licence.txt", "text/plain; charset=utf-8", "../vendor/uplot/LICENSE"),
     asset!("/app.js", SCRIPT, "../page/app.js"),
+    asset!("/entrance.js", SCRIPT, "../page/entrance.js"),
     asset!("/connection.js", SCRIPT, "../page/connection.js"),
     asset!("/dom.js", SCRIPT, "../page/dom.js"),
     asset!("/words.js", SCRIPT, "../page/words.js"),
     asset!("/overview.js", SCRIPT, "../page/overview.js"),
     asset!("/structure.js", SCRIPT, "../page/structure.js"),
     asset!("/drawing.js", SCRIPT, "../page/drawing.js"),
+    asset!("/nodes.js", SCRIPT, "../page/nodes.js"),
     asset!("/plot.js", SCRIPT, "../page/plot.js"),
     asset!("/plots.js", SCRIPT, "../page/plots.js"),
     asset!("/span.js", SCRIPT, "../page/span.js"),
@@ -60,6 +72,10 @@ pub(crate) async fn with_headers(mut response: Response) -> Response {
     headers.insert(CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
     headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+    headers.insert(X_FRAME_OPTIONS, HeaderValue::from_static("DENY"));
+    for (name, value) in OTHERS {
+        headers.insert(HeaderName::from_static(name), HeaderValue::from_static(value));
+    }
     // what is shown must be of this program, not of the one before its update
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-cache"));
     response

@@ -1,12 +1,13 @@
 //! What all requests share: the pictures of the structures, and the way to the bus.
 
+use crate::gate::Gate;
 use crate::history::Earlier;
 use crate::overview::{Overview, overview};
 use crate::store::Store;
 use spandrel_bus::{Acknowledgement, Bus, BusError, HistorySpan, Keys};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tracing::warn;
@@ -24,6 +25,8 @@ pub(crate) struct Server {
     structures: Vec<(Keys, Mutex<Store>)>,
     clients: AtomicUsize,
     stopped: watch::Sender<bool>,
+    gate: Gate,
+    started: Instant,
 }
 
 /// A place among the clients; it is free again when this is dropped.
@@ -37,9 +40,21 @@ impl Drop for ClientPlace {
 }
 
 impl Server {
-    pub(crate) fn new(bus: Bus, structures: Vec<(Keys, Store)>) -> Self {
+    pub(crate) fn new(bus: Bus, structures: Vec<(Keys, Store)>, gate: Gate) -> Self {
         let structures = structures.into_iter().map(|(keys, store)| (keys, Mutex::new(store))).collect();
-        Self { bus, structures, clients: AtomicUsize::new(0), stopped: watch::Sender::new(false) }
+        #[expect(clippy::disallowed_methods, reason = "sessions of browsers end by the clock of the wall")]
+        let started = Instant::now();
+        Self { bus, structures, clients: AtomicUsize::new(0), stopped: watch::Sender::new(false), gate, started }
+    }
+
+    /// Who is let in.
+    pub(crate) fn gate(&self) -> &Gate {
+        &self.gate
+    }
+
+    /// How long the page has been served.
+    pub(crate) fn since_start(&self) -> Duration {
+        self.started.elapsed()
     }
 
     /// The picture of one structure.

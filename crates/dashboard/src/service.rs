@@ -2,10 +2,13 @@
 
 use crate::about::About;
 use crate::api::router;
+use crate::door::{ClientAddress, Door, PageCertificate};
 use crate::error::DashboardError;
+use crate::gate::Gate;
 use crate::listen::Listening;
 use crate::server::{Server, now_ns};
 use crate::store::{Input, Store};
+use crate::tokens::Tokens;
 use spandrel_bus::{Bus, DisplayPublisher, Keys, LiveToken, Name, Service, Status};
 use spandrel_structure::Structure;
 use std::future::Future;
@@ -36,10 +39,28 @@ pub enum Listen {
     At(String),
 }
 
+/// Where and how the page is served.
+#[derive(Clone, Debug)]
+pub struct PageSettings {
+    /// Where it listens.
+    pub listen: Listen,
+    /// Served over TLS with this certificate; none: over plain HTTP, on this machine only.
+    pub certificate: Option<PageCertificate>,
+    /// Who is let in; none: everybody, on this machine only.
+    pub tokens: Tokens,
+}
+
+impl From<Listen> for PageSettings {
+    /// A page for this machine, without certificate and tokens.
+    fn from(listen: Listen) -> Self {
+        Self { listen, certificate: None, tokens: Tokens::default() }
+    }
+}
+
 /// The dashboard of one or more structures.
 #[derive(Debug)]
 pub struct DashboardService {
-    listener: TcpListener,
+    door: Door,
     address: SocketAddr,
     server: Arc<Server>,
     sources: Vec<Source>,
@@ -60,16 +81,20 @@ impl DashboardService {
     /// Takes the address, listens to the bus and shows its liveliness tokens; `id` names this instance.
     ///
     /// # Errors
-    /// When the address cannot be listened on, or the bus refuses a declaration.
+    /// When the address cannot be listened on, others can reach it without certificate and token, or the bus refuses a
+    /// declaration.
     pub async fn start(
         structures: &[(&Structure, Keys)],
         bus: &Bus,
-        listen: &Listen,
+        page: &PageSettings,
         id: Name,
     ) -> Result<Self, DashboardError> {
-        let listener = bind(listen).await?;
+        let acceptor = page.certificate.as_ref().map(PageCertificate::acceptor).transpose()?;
+        let listener = bind(page).await?;
         let serve = |source| DashboardError::Serve { source };
         let address = listener.local_addr().map_err(serve)?;
+        let gate = Gate::new(page.tokens.clone(), acceptor.is_some());
+        let door = Door::new(listener, acceptor).map_err(serve)?;
         let mut stores = Vec::new();
         let mut sources = Vec::new();
         for (structure, keys) in structures {
@@ -82,9 +107,9 @@ impl DashboardService {
                 taken: 0,
             });
         }
-        let server = Arc::new(Server::new(bus.clone(), stores));
+        let server = Arc::new(Server::new(bus.clone(), stores, gate));
         info!(address = %address, structures = structures.len(), "dashboard ready");
-        Ok(Self { listener, address, server, sources, id })
+        Ok(Self { door, address, server, sources, id })
     }
 
     /// Where the page is served.
@@ -103,7 +128,8 @@ impl DashboardService {
             // the server is kept until the end of this function, so that this waits for its word
             let _ = stopped.wait_for(|stopped| *stopped).await;
         };
-        let serving = axum::serve(self.listener, router(self.server.clone())).with_graceful_shutdown(ended);
+        let answering = router(self.server.clone()).into_make_service_with_connect_info::<ClientAddress>();
+        let serving = axum::serve(self.door, answering).with_graceful_shutdown(ended);
         let mut serving = tokio::spawn(async move { serving.await });
         let listened = tokio::select! {
             listened = listen(&mut self.sources, &self.server, &self.id) => listened,
@@ -131,11 +157,23 @@ fn broken(served: Result<io::Result<()>, tokio::task::JoinError>) -> DashboardEr
     DashboardError::Serve { source }
 }
 
-async fn bind(listen: &Listen) -> Result<TcpListener, DashboardError> {
-    let (address, may_move) = match listen {
+async fn bind(page: &PageSettings) -> Result<TcpListener, DashboardError> {
+    let (address, may_move) = match &page.listen {
         Listen::Default => (DEFAULT_ADDRESS, true),
         Listen::At(address) => (address.as_str(), false),
     };
+    let missing = match (&page.certificate, page.tokens.is_empty()) {
+        (Some(_), false) => None,
+        (None, _) => Some("certificate"),
+        (Some(_), true) => Some("token"),
+    };
+    if let Some(missing) = missing {
+        let listen = |source| DashboardError::Listen { address: address.to_owned(), source };
+        let mut all = tokio::net::lookup_host(address).await.map_err(listen)?;
+        if !all.all(|address| address.ip().to_canonical().is_loopback()) {
+            return Err(DashboardError::Unprotected { address: address.to_owned(), missing });
+        }
+    }
     match TcpListener::bind(address).await {
         Ok(listener) => Ok(listener),
         Err(source) if may_move && source.kind() == io::ErrorKind::AddrInUse => {
@@ -176,6 +214,7 @@ async fn listen(sources: &mut [Source], server: &Server, id: &Name) -> Result<()
                     id: id.clone(),
                     time_ns,
                     lag_s: last_ns.map(|last_ns| time_ns.saturating_sub(last_ns) as f64 / 1e9),
+                    pace: None,
                     done: source.taken,
                     drops: source.listening.refused(),
                     restarts: 0,

@@ -1,12 +1,14 @@
 //! Everything heard of one structure, bounded: messages in, a picture out. Knows no clock, no network.
 
 use crate::about::About;
+use crate::arrivals::Arrivals;
 use crate::innovations::{Innovations, Interval};
 use crate::series::{Series, Table};
 use crate::topic::{Kind, SeriesName};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, ChannelState, EstimateBlock, Event, EventKind, HistoryLog,
-    ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, Service, Status,
+    ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, Progress, Service,
+    Status, is_without_date,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -40,6 +42,8 @@ pub(crate) enum Input {
     Acknowledgement(Acknowledgement),
     Event(Event),
     Status(Status),
+    /// How far ingest has come.
+    Ingested(Progress),
     /// Everybody who is there now.
     Present(BTreeSet<(Service, Name)>),
     /// What happened before, as the history service keeps it.
@@ -51,6 +55,7 @@ pub(crate) enum Input {
 pub(crate) struct Store {
     pub(crate) about: About,
     pub(crate) now: Duration,
+    /// When the last value was heard that rests on what has arrived live.
     pub(crate) data_heard: Option<Duration>,
     pub(crate) time_ns: Option<i64>,
     pub(crate) parameters: BTreeMap<String, ParameterDisplay>,
@@ -73,8 +78,9 @@ pub(crate) struct Store {
     pub(crate) seen: BTreeSet<(Service, Name)>,
     /// Channels that an event says are not used.
     pub(crate) excluded: BTreeSet<String>,
-    /// Measurement time (ns) at which each channel was last used.
+    /// Measurement time (ns) at which each channel was last used, of what has arrived live.
     pub(crate) used_ns: BTreeMap<String, i64>,
+    arrivals: Arrivals,
     innovations: Innovations,
     series: BTreeMap<SeriesName, Series>,
 }
@@ -84,6 +90,7 @@ impl Store {
         Self {
             innovations: Innovations::new(about.display_rate_hz),
             about,
+            arrivals: Arrivals::default(),
             now: Duration::ZERO,
             data_heard: None,
             time_ns: None,
@@ -143,14 +150,28 @@ impl Store {
             }
             Input::Event(event) => self.take_event(event),
             Input::Status(status) => self.take_status(status),
+            Input::Ingested(progress) => self.take_ingested(&progress),
             Input::Present(present) => self.take_present(present),
             Input::Past(log) => self.take_past(log),
         }
     }
 
     fn heard_data(&mut self, time_ns: i64) {
-        self.data_heard = Some(self.now);
+        if self.arrivals.is_live(time_ns) {
+            self.data_heard = Some(self.now);
+        }
         self.time_ns = Some(time_ns);
+    }
+
+    /// Takes how far ingest has come; of what was heard before its first word only what it does not know to be recorded counts.
+    fn take_ingested(&mut self, progress: &Progress) {
+        // samples of nodes that identify for themselves are not read again from a recording
+        if self.about.distributed || !self.arrivals.ingested(progress.header.epoch, progress.header.time_ns) {
+            return;
+        }
+        let arrivals = &self.arrivals;
+        self.used_ns.retain(|_, time_ns| arrivals.is_live(*time_ns));
+        self.data_heard = self.data_heard.filter(|_| self.time_ns.is_some_and(|time_ns| arrivals.is_live(time_ns)));
     }
 
     fn push(&mut self, kind: Kind, of: &str, time_ns: i64, values: &[f64]) {
@@ -212,7 +233,7 @@ impl Store {
         }
         for (row, (least, largest)) in interval.ends.iter().enumerate() {
             let Some(channel) = self.about.observed_channel(row).map(str::to_owned) else { return };
-            if least.is_finite() {
+            if least.is_finite() && self.arrivals.is_live(interval.time_ns) {
                 self.used_ns.insert(channel.clone(), interval.time_ns);
             }
             self.push(Kind::Innovation, &channel, interval.time_ns, &[*least, *largest]);
@@ -231,7 +252,8 @@ impl Store {
             return;
         }
         // that all is well is no news of what nothing was known of
-        if known.is_some() || !matches!(alert.state, AlertState::Normal | AlertState::Learning) {
+        let is_news = known.is_some() || !matches!(alert.state, AlertState::Normal | AlertState::Learning);
+        if is_news && !self.changes.contains(&alert) {
             self.changes.push_front(alert.clone());
             self.changes.truncate(CHANGES_KEPT);
         }
@@ -248,6 +270,7 @@ impl Store {
                 | EventKind::Unidentified
                 | EventKind::LeadingClass
                 | EventKind::NodeExcluded
+                | EventKind::NodeSilent
                 | EventKind::NodeBack
                 | EventKind::Gap => false,
             };
@@ -328,6 +351,25 @@ impl Store {
         let note = self.notes.get(alert.parameter.as_str())?;
         let same = alert.acknowledged_by.as_deref() == Some(note.who.as_str());
         (same && !note.note.is_empty()).then_some(note.note.as_str())
+    }
+
+    /// What the newest value of a parameter says of the loss that its alert is about.
+    pub(crate) fn present_loss(&self, alert: &AlertMessage) -> Option<String> {
+        alert.loss_by(self.parameters.get(alert.parameter.as_str())?)
+    }
+
+    /// Whether the samples come from a record or a simulation with times of its own, so that a lag behind the clock on the wall says
+    /// nothing.
+    pub(crate) fn is_replayed(&self) -> bool {
+        let Some(time_ns) = self.time_ns else { return false };
+        let mut ingest = self.statuses.iter().filter(|((service, _), _)| *service == Service::Ingest);
+        is_without_date(time_ns) || ingest.any(|(_, (status, _))| status.is_of_a_record(time_ns))
+    }
+
+    /// A lag behind the clock on the wall, where it says something: of samples that come as they are measured.
+    pub(crate) fn told_lag(&self, lag_s: Option<f64>) -> Option<f64> {
+        let is_told = !self.is_replayed() && self.silence().is_some_and(|silence| silence <= STALE_AFTER);
+        lag_s.filter(|_| is_told)
     }
 
     /// One series over time.

@@ -40,6 +40,8 @@ pub(crate) struct AlertView<'s> {
     pub(crate) stale: bool,
     /// What was written with the acknowledgement.
     pub(crate) note: Option<&'s str>,
+    /// What the newest value says of the loss, where that is newer than the sentence of the alert.
+    pub(crate) now: Option<String>,
 }
 
 /// A service and what it says of itself.
@@ -48,6 +50,8 @@ struct ServiceView<'s> {
     service: &'static str,
     id: &'s str,
     present: bool,
+    /// Its lag, where that says something.
+    lag_s: Option<f64>,
     status: Option<&'s Status>,
 }
 
@@ -60,6 +64,7 @@ impl<'s> Standing<'s> {
             service: key.0.as_str(),
             id: key.1.as_str(),
             present: store.present.contains(key),
+            lag_s: store.told_lag(store.statuses.get(key).and_then(|(status, _)| status.lag_s)),
             status: store.statuses.get(key).map(|(status, _)| status),
         };
         Self {
@@ -85,10 +90,11 @@ pub(crate) fn standing_alerts(store: &Store) -> impl Iterator<Item = AlertView<'
         message,
         stale: store.stale_alerts.contains(name),
         note: store.note(message),
+        now: store.present_loss(message),
     })
 }
 
 /// The changes of alerts, newest first.
 pub(crate) fn changes(store: &Store) -> impl Iterator<Item = AlertView<'_>> {
-    store.changes.iter().map(|message| AlertView { message, stale: false, note: store.note(message) })
+    store.changes.iter().map(|message| AlertView { message, stale: false, note: store.note(message), now: None })
 }

@@ -80,7 +80,7 @@ impl Site {
         let keys = config.keys(structure.name()).unwrap();
         let parameter = bus.publish_display(keys.parameter(&name("storey-2"))).await.unwrap();
         let alert = bus.publish_latest(keys.alert(&name("storey-2"))).await.unwrap();
-        let listen = Listen::At("127.0.0.1:0".into());
+        let listen = Listen::At("127.0.0.1:0".into()).into();
         let service =
             DashboardService::start(&[(&structure, keys.clone())], &bus, &listen, name("dashboard")).await.unwrap();
         let address = service.address();
@@ -196,7 +196,7 @@ async fn a_dashboard_that_starts_late_asks_how_the_alerts_stand() {
     site.wait("an alarm", |found| found["raised"] == 1).await;
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
     let structure = Structure::read(&path).unwrap();
-    let listen = Listen::At("127.0.0.1:0".into());
+    let listen = Listen::At("127.0.0.1:0".into()).into();
     let structures = [(&structure, site.keys.clone())];
     let late = DashboardService::start(&structures, &site.bus, &listen, name("late")).await.unwrap();
     let client = Client { address: late.address() };
@@ -335,7 +335,7 @@ async fn an_address_that_was_asked_for_is_that_or_an_error() {
     let taken = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = taken.local_addr().unwrap().to_string();
     let site = Site::start().await;
-    let failed = DashboardService::start(&[], &site.bus, &Listen::At(address.clone()), name("other")).await;
+    let failed = DashboardService::start(&[], &site.bus, &Listen::At(address.clone()).into(), name("other")).await;
     let told = failed.unwrap_err().to_string();
     assert!(told.contains(&address), "{told}");
     site.end().await;

@@ -9,7 +9,7 @@ use crate::dense::{add_scaled_mut, symmetrise_mut};
 use crate::error::FilterError;
 use crate::model::ObservationModel;
 use crate::noise::{NoiseModel, NoiseTarget};
-use crate::product::{Extent, Left, Multiplier, Right, Sum};
+use crate::product::{Left, Multiplier, Right, Sum};
 use nalgebra::{DMatrix, DVector};
 
 /// The exact transition of a linear time-invariant model over one time step.
@@ -206,7 +206,7 @@ fn propagate_modal_to(blocks: &[[f64; 4]], covariance: &[f64], out: &mut [f64]) 
 pub(crate) struct NoiseSpread {
     /// `B_d C B_dᵀ` (n × n)
     state: DMatrix<f64>,
-    /// `H B_d C B_dᵀ` (N_0 × n)
+    /// `B_d C B_dᵀ Hᵀ` (n × N_0)
     cross: DMatrix<f64>,
     /// `H B_d C B_dᵀ Hᵀ` (N_0 × N_0)
     pub(crate) datum: DMatrix<f64>,
@@ -215,7 +215,7 @@ pub(crate) struct NoiseSpread {
 impl NoiseSpread {
     fn new(held: &DMatrix<f64>, h_b: &DMatrix<f64>, covariance: &DMatrix<f64>) -> Self {
         let b_c = held * covariance;
-        let cross = h_b * b_c.transpose();
+        let cross = &b_c * h_b.transpose();
         let mut datum = h_b * covariance * h_b.transpose();
         symmetrise_mut(&mut datum);
         let mut state = b_c * held.transpose();
@@ -244,9 +244,8 @@ pub(crate) struct ConstantPath {
 struct DenseProducts {
     /// `A_dᵀ`
     by_transition: Right,
-    /// `Σ A_dᵀ` and `A_d Σ` (n × n)
+    /// `A_d Σ` (n × n)
     half_way: DMatrix<f64>,
-    half_way_transposed: DMatrix<f64>,
     multiplier: Multiplier,
 }
 
@@ -255,18 +254,14 @@ impl DenseProducts {
         let n = transition.nrows();
         let mut by_transition = Right::new(n, n, 1);
         by_transition.pack(&transition.transpose());
-        let square = || DMatrix::zeros(n, n);
-        Self { by_transition, half_way: square(), half_way_transposed: square(), multiplier: Multiplier::new() }
+        Self { by_transition, half_way: DMatrix::zeros(n, n), multiplier: Multiplier::new() }
     }
 
     /// Writes `λ A_d Σ A_dᵀ` (n × n) into `out`; both triangles get the same bits.
     fn propagate_covariance_to(&mut self, covariance: &DMatrix<f64>, fading: f64, out: &mut DMatrix<f64>) {
-        let Self { by_transition, half_way, half_way_transposed, multiplier } = self;
-        multiplier.multiply_to(Left::new(covariance), by_transition, Extent::Full, Sum::PLAIN, half_way);
-        multiplier.transpose_to(half_way, half_way_transposed);
-        let left = Left::new(half_way_transposed);
-        multiplier.multiply_to(left, by_transition, Extent::LOWER, Sum::scaled(fading), out);
-        multiplier.mirror_lower_mut(out);
+        let Self { by_transition, half_way, multiplier } = self;
+        multiplier.multiply_transposed_to(Left::new(covariance), by_transition, Sum::PLAIN, half_way);
+        multiplier.multiply_symmetric_to(Left::new(half_way), by_transition, Sum::scaled(fading), out);
     }
 }
 
@@ -311,7 +306,7 @@ impl ConstantPath {
         }
     }
 
-    /// Adds the whole excitation noise of the step to `P` (n × n), `H P` (N_0 × n) and `H P Hᵀ` (N_0 × N_0).
+    /// Adds the whole excitation noise of the step to `P` (n × n), `P Hᵀ` (n × N_0) and `H P Hᵀ` (N_0 × N_0).
     ///
     /// `missing` (N_f): the variance of a measured excitation whose sample is missing, else 0.
     pub(crate) fn add_noise_mut(
@@ -320,20 +315,20 @@ impl ConstantPath {
         fading: f64,
         missing: &DVector<f64>,
         covariance: &mut DMatrix<f64>,
-        h_p: &mut DMatrix<f64>,
+        p_ht: &mut DMatrix<f64>,
         datum: &mut DMatrix<f64>,
     ) {
         let known = self.known.iter().map(|spread| (1.0, spread));
         let levels = psi.iter().zip(&self.levels).filter_map(|(level, spread)| Some((*level, spread.as_ref()?)));
         for (level, spread) in known.chain(levels) {
             add_scaled_mut(covariance, fading * level, &spread.state);
-            add_scaled_mut(h_p, fading * level, &spread.cross);
+            add_scaled_mut(p_ht, fading * level, &spread.cross);
             add_scaled_mut(datum, fading * level, &spread.datum);
         }
         for (j, &variance) in missing.iter().enumerate() {
             let (b, h_b) = (self.transition.held.column(j), self.h_b.column(j));
             add_outer_mut(covariance, fading * variance, b.as_slice(), b.as_slice());
-            add_outer_mut(h_p, fading * variance, h_b.as_slice(), b.as_slice());
+            add_outer_mut(p_ht, fading * variance, b.as_slice(), h_b.as_slice());
             add_outer_mut(datum, fading * variance, h_b.as_slice(), h_b.as_slice());
         }
     }

@@ -57,8 +57,8 @@ pub(crate) fn solve_lower_mut(factor: &DMatrix<f64>, columns: &mut [f64]) {
 const ROWS: usize = 64;
 
 /// Replaces every row `b` (in a column-major slice) by `L⁻¹ b`.
-pub(crate) fn solve_lower_of_rows_mut(factor: &DMatrix<f64>, columns: &mut [f64]) {
-    Arch::new().dispatch(SolveLowerOfRows { factor, columns });
+pub(crate) fn solve_lower_of_rows_mut(arch: Arch, factor: &DMatrix<f64>, columns: &mut [f64]) {
+    arch.dispatch(SolveLowerOfRows { factor, columns });
 }
 
 struct SolveLowerOfRows<'m> {
@@ -199,7 +199,7 @@ mod tests {
         let rows = DMatrix::from_fn(150, 7, |i, j| (i as f64 + 0.3 * j as f64).cos());
         let expected = reference.l().solve_lower_triangular(&rows.transpose()).unwrap().transpose();
         let mut solved = rows;
-        solve_lower_of_rows_mut(&factor, solved.as_mut_slice());
+        solve_lower_of_rows_mut(Arch::new(), &factor, solved.as_mut_slice());
         assert!((solved - expected).amax() < 1e-12);
     }
 

@@ -19,7 +19,7 @@ use crate::fading::bound_variances_mut;
 use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::{ExcitationPath, NoiseEvents, NoisePhase, NoiseRule, NoiseState, NoiseTarget};
 use crate::outlier::OutlierState;
-use crate::product::{Extent, Left, Sum};
+use crate::product::{Extent, Left, Piece, Sum};
 use crate::proportional;
 use crate::update::{self, ExcitationPosterior, ExcitationSpread};
 use nalgebra::{DMatrix, DVector};
@@ -140,7 +140,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         self.take_excitation(frame);
         self.predict();
         let (noise_events, rejected_channels) = self.predict_observation(frame);
-        let used = update::leave_out_missing(&mut self.work.update, &mut self.work.h_p);
+        let used = update::leave_out_missing(&mut self.work.update, &mut self.work.p_ht);
         let evidence = update::factorise(&mut self.work.update, used)?;
         if !evidence.log_evidence.is_finite() {
             return Err(FilterError::NotFinite { what: "normalised innovation", index: 0 });
@@ -152,7 +152,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             &mut work.mean,
             &work.covariance,
             is_fresh.then_some(ExcitationSpread { input: &work.input_matrix, scaled: &work.input_spread }),
-            &mut work.h_p,
+            &mut work.p_ht,
             &work.sensors,
             &mut work.corrected,
             &mut work.update,
@@ -235,10 +235,10 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         &self.work.update.innovation_covariance
     }
 
-    /// Returns how far from their diagonals the blocks of the last transition have entries, where they have bands: what a step
-    /// costs follows from it.
-    pub fn transition_half_bandwidth(&self) -> Option<usize> {
-        self.work.proportional.as_ref().map(proportional::Transition::half_bandwidth)
+    /// Returns the number of terms by which the last prediction moved a row of the covariance, for models that have a
+    /// [`ProportionalForm`](crate::ProportionalForm): what a step costs follows from it.
+    pub fn transition_term_count(&self) -> Option<usize> {
+        self.work.proportional.as_ref().map(proportional::Transition::term_count)
     }
 
     /// Returns the number of frames taken.
@@ -460,13 +460,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         work.swapped_pair.rows_mut(inputs, inputs).tr_copy_from(&work.cross);
         work.by_pair.pack(&work.swapped_pair);
         work.pair *= settings.fading.value();
-        let sum = Sum { factor: 1.0, start: Some(&work.covariance) };
-        work.multiplier.multiply_to(Left::new(&work.pair), &work.by_pair, Extent::LOWER, sum, &mut work.corrected);
+        let sum = Sum { factor: 1.0, start: Some(Piece::new(&work.covariance)) };
+        work.multiplier.multiply_symmetric_to(Left::new(&work.pair), &work.by_pair, sum, &mut work.corrected);
         std::mem::swap(&mut work.covariance, &mut work.corrected);
-        work.multiplier.mirror_lower_mut(&mut work.covariance);
     }
 
-    /// Writes innovation, `S`, `H P` and `P`; screens outliers and moves the noise parameters in between.
+    /// Writes innovation, `S`, `P Hᵀ` and `P`; screens outliers and moves the noise parameters in between.
     fn predict_observation(&mut self, frame: Frame<'_>) -> (NoiseEvents, usize) {
         let Self { model, work, .. } = self;
         model.linearise_observation(work.mean.as_slice(), work.newer.as_slice());
@@ -474,14 +473,16 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         for (innovation, datum) in work.update.innovation.iter_mut().zip(frame.observations) {
             *innovation = datum - *innovation; // NaN where the channel is missing
         }
-        if model.observation_matrix(&mut work.h_t) {
-            work.by_h_t.pack_sparse(&work.h_t);
+        let is_known = work.constant.is_some() && work.by_h_t.is_packed(); // H never changes
+        if is_known || model.observation_matrix(&mut work.h_t) {
+            if !is_known {
+                work.by_h_t.pack_sparse(&work.h_t);
+            }
             let left = Left::new(&work.covariance);
             work.multiplier.multiply_to(left, &work.by_h_t, Extent::Full, Sum::PLAIN, &mut work.p_ht);
-            work.h_p.tr_copy_from(&work.p_ht); // H P, because P is symmetric
         } else {
             model.observation_jacobian_mul(&work.covariance, &mut work.h_p);
-            work.p_ht.tr_copy_from(&work.h_p);
+            work.p_ht.tr_copy_from(&work.h_p); // because P is symmetric
         }
         model.observation_jacobian_mul(&work.p_ht, &mut work.update.innovation_covariance); // S₀
         symmetrise_mut(&mut work.update.innovation_covariance);
@@ -595,7 +596,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         self.work.constant.is_none() && !felt
     }
 
-    /// Adds the noises to `H P` and `S`, and to `P` where the model is constant.
+    /// Adds the noises to `P Hᵀ` and `S`, and to `P` where the model is constant.
     fn add_noises(&mut self) {
         let annealing = self.annealing();
         let Self { model, settings, state, work, .. } = self;
@@ -610,7 +611,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                     lambda,
                     missing,
                     &mut work.covariance,
-                    &mut work.h_p,
+                    &mut work.p_ht,
                     innovation_covariance,
                 );
             }
@@ -618,8 +619,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             add_quadratic_form_mut(innovation_covariance, &work.h_b, &work.step_excitation, lambda);
             for (b, mut spread) in work.input_spread.column_iter_mut().enumerate() {
                 spread.gemv(lambda, &work.input_matrix, &work.step_excitation.column(b), 0.0); // λ B Σ_f
-                for (j, spread) in spread.iter().enumerate() {
-                    work.h_p.column_mut(j).axpy(*spread, &work.h_b.column(b), 1.0); // + H B Σ_f Bᵀ, because Σ_f is symmetric
+                for (channel, mut p_ht) in work.p_ht.column_iter_mut().enumerate() {
+                    p_ht.axpy(work.h_b[(channel, b)], &spread, 1.0); // + B Σ_f Bᵀ Hᵀ
                 }
             }
         }
@@ -675,7 +676,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     fn commit(&mut self, frame: Frame<'_>, normalised_innovation_squared: f64) {
         let Self { model, settings, state, work, .. } = self;
         if let (Some(direct), Some(posterior)) = (model.feedthrough(), &mut state.posterior) {
-            update::infer_excitation(direct, &work.frame_excitation, &work.h_p, &work.update, posterior);
+            update::infer_excitation(direct, &work.frame_excitation, &work.p_ht, &work.update, posterior);
         }
         state.mean.copy_from(&work.mean);
         std::mem::swap(&mut state.covariance, &mut work.corrected);

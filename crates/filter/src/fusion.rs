@@ -28,5 +28,5 @@ pub use compression::{CompressedMotion, CovarianceScheme, ModalBasis, MotionExch
 pub use detector::{GlobalDetector, NodeDistance};
 pub use gaussian::{Gaussian, Information, product};
 pub use local::{Feedback, FeedbackRule, Lineage, LocalEstimate, LocalFilter, NodeSettings, Taken};
-pub use samples::SampleExchange;
+pub use samples::{SampleExchange, unit_exponent};
 pub use station::{Fused, FusionRule, NodeReport, Refusal, Sharing, Station, StationSettings};

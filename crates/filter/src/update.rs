@@ -2,7 +2,7 @@
 //!
 //! Notation: Huang & Yuen (2023), (2.68) to (2.70). `P`: predicted covariance (n × n), `S = H P Hᵀ + Σ_n` (N_0 × N_0),
 //! `L Lᵀ = S`, `V = L⁻¹ H P` (N_0 × n), `ν`: innovation, `ν̃ = L⁻¹ ν`. Then `G ν = Vᵀ ν̃` and `(I − GH) P = P − Vᵀ V`: the gain
-//! itself is never formed, and both triangles get the same bits.
+//! itself is never formed, and both triangles get the same bits. `P Hᵀ` and `Vᵀ` are kept, whose columns are long.
 
 use crate::dense::{
     cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut, solve_lower_transposed_mut,
@@ -10,9 +10,10 @@ use crate::dense::{
 };
 use crate::error::FilterError;
 use crate::model::ObservationModel;
-use crate::product::{Extent, Left, Multiplier, Right, Sum};
+use crate::product::{Left, Multiplier, Piece, Right, Sum};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// The form in which the covariance is corrected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -45,11 +46,8 @@ pub(crate) struct Workspace {
     factor: DMatrix<f64>,
     /// `ν̃` (N_0)
     whitened: DVector<f64>,
-    /// `[Vᵀ, λ B Σ_f]` (n × (N_0 + N_f))
-    left: DMatrix<f64>,
     /// `[−V; Bᵀ]` ((N_0 + N_f) × n)
-    right: DMatrix<f64>,
-    packed: Right,
+    right: Right,
     multiplier: Multiplier,
     joseph: Option<JosephWorkspace>,
 }
@@ -72,9 +70,7 @@ impl Workspace {
             innovation: DVector::zeros(channels),
             factor: DMatrix::zeros(channels, channels),
             whitened: DVector::zeros(channels),
-            left: DMatrix::zeros(n, channels + inputs),
-            right: DMatrix::zeros(channels + inputs, n),
-            packed: Right::new(channels + inputs, n, 1),
+            right: Right::new(channels + inputs, n, 2),
             multiplier: Multiplier::new(),
             joseph: (form == CovarianceForm::Joseph).then(|| JosephWorkspace {
                 gain_transposed: wide(),
@@ -85,18 +81,18 @@ impl Workspace {
     }
 }
 
-/// Takes the rows of the missing channels (NaN in the innovation) out of `S` and `H P`; returns how many are left.
+/// Takes the missing channels (NaN in the innovation) out of `S` and `P Hᵀ`; returns how many are left.
 ///
-/// A missing channel becomes a row of the identity with zero innovation and zero `H P`: exactly as if its variance were
+/// A missing channel becomes a row of the identity with zero innovation and zero `P Hᵀ`: exactly as if its variance were
 /// infinite, without changing a size.
-pub(crate) fn leave_out_missing(work: &mut Workspace, h_p: &mut DMatrix<f64>) -> usize {
+pub(crate) fn leave_out_missing(work: &mut Workspace, p_ht: &mut DMatrix<f64>) -> usize {
     let mut used = 0;
     for j in 0..work.innovation.len() {
         if work.innovation[j].is_nan() {
             work.innovation_covariance.row_mut(j).fill(0.0);
             work.innovation_covariance.column_mut(j).fill(0.0);
             work.innovation_covariance[(j, j)] = 1.0;
-            h_p.row_mut(j).fill(0.0);
+            p_ht.column_mut(j).fill(0.0);
         } else {
             used += 1;
         }
@@ -140,7 +136,7 @@ pub(crate) struct ExcitationSpread<'a> {
 
 /// Corrects the mean (n); writes the corrected covariance (n × n).
 ///
-/// `covariance`: `P` (n × n) but for the `spread` of the excitation. `h_p`: `H P` (N_0 × n), with it; becomes `V`. `sensors`:
+/// `covariance`: `P` (n × n) but for the `spread` of the excitation. `p_ht`: `P Hᵀ` (n × N_0), with it; becomes `Vᵀ`. `sensors`:
 /// `Σ_n`, used by the Joseph form only. Expects [`factorise`] to have run.
 #[expect(clippy::too_many_arguments, reason = "the terms of three equations")]
 pub(crate) fn correct(
@@ -148,39 +144,38 @@ pub(crate) fn correct(
     mean: &mut DVector<f64>,
     covariance: &DMatrix<f64>,
     spread: Option<ExcitationSpread<'_>>,
-    h_p: &mut DMatrix<f64>,
+    p_ht: &mut DMatrix<f64>,
     sensors: &DMatrix<f64>,
     corrected: &mut DMatrix<f64>,
     work: &mut Workspace,
 ) {
-    let Workspace { factor, whitened, left, right, packed, multiplier, .. } = work;
-    let (channels, n) = h_p.shape();
-    left.columns_mut(0, channels).tr_copy_from(h_p);
-    solve_lower_of_rows_mut(factor, &mut left.as_mut_slice()[..n * channels]); // Vᵀ = (H P)ᵀ L⁻ᵀ
-    let v_transposed = left.columns(0, channels);
-    mean.gemv(1.0, &v_transposed, whitened, 1.0); // y ← y + Vᵀ ν̃                 (2.68)
-    h_p.tr_copy_from(&v_transposed);
-    let (all, of_v) = (right.nrows(), h_p.as_slice().chunks_exact(channels.max(1)));
-    for (right, v) in right.as_mut_slice().chunks_exact_mut(all.max(1)).zip(of_v) {
-        for (entry, v) in right.iter_mut().zip(v) {
-            *entry = -v;
+    let Workspace { factor, whitened, right, multiplier, .. } = work;
+    solve_lower_of_rows_mut(multiplier.arch(), factor, p_ht.as_mut_slice()); // Vᵀ = P Hᵀ L⁻ᵀ
+    mean.gemv(1.0, p_ht, whitened, 1.0); // y ← y + Vᵀ ν̃                            (2.68)
+    let (n, channels) = p_ht.shape();
+    let inputs = spread.map_or(0, |spread| spread.input.ncols());
+    let of_group = |_: Range<usize>, runs: &mut Vec<Range<usize>>| {
+        runs.extend([0..channels, channels..channels + inputs].into_iter().filter(|run| !run.is_empty()));
+    };
+    right.pack_with(n, of_group, |columns, run, values| {
+        let (sign, entries) = match spread {
+            Some(spread) if run.start == channels => (1.0, spread.input.as_slice()),
+            _ => (-1.0, p_ht.as_slice()),
+        };
+        for (values, entries) in values.iter_mut().zip(entries.chunks_exact(n)) {
+            for (value, entry) in values.iter_mut().zip(&entries[columns.clone()]) {
+                *value = sign * entry;
+            }
         }
-    }
-    let mut terms = channels;
-    if let Some(ExcitationSpread { input, scaled }) = spread {
-        let inputs = input.ncols();
-        left.columns_mut(channels, inputs).copy_from(scaled);
-        right.rows_mut(channels, inputs).tr_copy_from(input);
-        terms += inputs;
-    }
-    packed.pack_runs(right, |_, runs| runs.push(0..terms));
-    let sum = Sum { factor: 1.0, start: Some(covariance) };
-    multiplier.multiply_to(Left::new(left), packed, Extent::LOWER, sum, corrected);
-    multiplier.mirror_lower_mut(corrected); // Σ = P + λ B Σ_f Bᵀ − Vᵀ V                         (2.70)
+    });
+    let v_transposed = Piece::new(p_ht);
+    let left = Left::joined(v_transposed, channels, spread.map_or(v_transposed, |spread| Piece::new(spread.scaled)));
+    let sum = Sum { factor: 1.0, start: Some(Piece::new(covariance)) };
+    multiplier.multiply_symmetric_to(left, right, sum, corrected); // Σ = P + λ B Σ_f Bᵀ − Vᵀ V    (2.70)
     let Some(JosephWorkspace { gain_transposed, h_x, noise_gain }) = &mut work.joseph else {
         return;
     };
-    gain_transposed.copy_from(h_p);
+    gain_transposed.tr_copy_from(p_ht);
     solve_lower_transposed_mut(&work.factor, gain_transposed.as_mut_slice()); // Gᵀ = L⁻ᵀ V
     model.observation_jacobian_mul(corrected, h_x); // H X with X = (I − GH) P
     noise_gain.gemm_tr(1.0, sensors, gain_transposed, 0.0); // Σ_n Gᵀ, because Σ_n is symmetric
@@ -200,12 +195,12 @@ pub(crate) fn correct(
 /// What the update says of the unknown excitation of the frame's own instant, for models with a direct term.
 ///
 /// `w̄ = Σ_f Dᵀ S⁻¹ ν` (N_f), its covariance `W = Σ_f − Σ_f Dᵀ S⁻¹ D Σ_f` (N_f × N_f), and its covariance with the state
-/// `C = −P Hᵀ S⁻¹ D Σ_f` (n × N_f). The next prediction starts from them: the sample that the sensors have already felt acts
+/// `C = −P Hᵀ S⁻¹ D Σ_f` (n × N_f), from `Vᵀ` (n × N_0). The next prediction starts from them: the sample that the sensors have already felt acts
 /// on the state over the coming step.
 pub(crate) fn infer_excitation(
     feedthrough: &DMatrix<f64>,
     excitation: &DMatrix<f64>,
-    whitened_h_p: &DMatrix<f64>,
+    v_transposed: &DMatrix<f64>,
     work: &Workspace,
     posterior: &mut ExcitationPosterior,
 ) {
@@ -225,7 +220,9 @@ pub(crate) fn infer_excitation(
     mean.gemv_tr(1.0, whitened_gain, &work.whitened, 0.0);
     covariance.copy_from(excitation);
     subtract_gram_mut(covariance, whitened_gain);
-    cross.gemm_tr(-1.0, whitened_h_p, whitened_gain, 0.0);
+    for (mut cross, gain) in cross.column_iter_mut().zip(whitened_gain.column_iter()) {
+        cross.gemv(-1.0, v_transposed, &gain, 0.0);
+    }
 }
 
 /// The unknown excitation of the last frame, given that frame.

@@ -5,23 +5,22 @@
 //! numbers.
 
 use crate::error::FuseError;
+use crate::node::Node;
 use spandrel_bus::{
     Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FeedbackMessage, Header, LocalMessage, MotionNumbers,
-    Name, NodeDisplay, NodeHealth, Pace, ParameterDisplay, Phase, StreamState,
+    Name, NodeDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, StreamState, ToldMotion,
 };
 use spandrel_filter::fusion::{CompressedMotion, Fused, Gaussian, Lineage, LocalEstimate, Station};
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 
-/// A node that has been left out in this share of its fusions, and a node that comes back from it, are worth an event.
-const OFTEN: f64 = 0.5;
-
 /// Where the first message of live nodes lies within its fusion period. In the middle: nodes that began together send together,
 /// and jitter of the network must not decide which fusion hears them.
 const FIRST_MESSAGE_AT: f64 = 0.5;
 
-/// Fusions over which that share is taken.
-const SHARE_MEMORY: f64 = 20.0;
+/// A clock that has gone on by more than so many periods between two looks at it has been set forward: it counts as one period, as
+/// nothing that was known has become so much older.
+const LONGEST_LOOK: f64 = 3.0;
 
 /// What the core reacts to.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,7 +30,7 @@ pub enum Input {
         /// Place in the structure file.
         node: usize,
         /// The message.
-        message: LocalMessage,
+        message: Box<LocalMessage>,
         /// Bytes of its payload.
         bytes: u64,
         /// When it came, ns since the Unix epoch by the station's clock.
@@ -54,29 +53,10 @@ pub enum Output {
     Feedback(usize, FeedbackMessage),
     /// How a node does.
     Node(NodeDisplay),
+    /// How the screening of a channel of the node at this place stands.
+    Outliers(usize, OutlierDisplay),
     /// Something rare.
     Event(Event),
-}
-
-/// A node in the eyes of the station.
-#[derive(Debug, Clone)]
-struct Node {
-    name: Name,
-    epoch: u64,
-    present: bool,
-    heard_ever: bool,
-    ended: bool,
-    pace: Pace,
-    /// index and time of its last message
-    last: Option<(u64, i64)>,
-    excluded_since_ns: Option<i64>,
-    excluded_share: f64,
-    often_excluded: bool,
-    messages: u64,
-    bytes_received: u64,
-    bytes_sent: u64,
-    refused: BTreeMap<&'static str, u64>,
-    restarts: u64,
 }
 
 /// Fusion of one structure.
@@ -95,13 +75,23 @@ pub struct Fusion {
     /// station's clock at the start of the period of the first message, and at the next fusion of live nodes
     begun_ns: Option<i64>,
     due_ns: Option<i64>,
+    /// station's clock at the last look
+    looked_ns: Option<i64>,
     done: u64,
+    /// the period before that of the first message
+    origin: Option<i64>,
     /// earliest period of replaying nodes that is not yet fused; `None` after the last that can be counted
-    next_index: Option<u64>,
+    next_index: Option<i64>,
     last_ns: Option<i64>,
     ended: bool,
+    /// a node has been there at some time, and none is now
+    deserted: bool,
     /// nodes were used in the last fusion
     healthy: bool,
+    /// what nodes send and are sent of a covariance
+    variances: bool,
+    /// by node, exponents of the units of its samples; none where none are told
+    told_units: Vec<Vec<i16>>,
 }
 
 impl Fusion {
@@ -115,23 +105,8 @@ impl Fusion {
         let station = structure.station().ok_or_else(|| FuseError::NotDistributed { structure: name() })?;
         let named = |text: &str| Name::new(text).map_err(|source| FuseError::Name { structure: name(), source });
         let node = |node: &spandrel_structure::Node| {
-            Ok(Node {
-                name: named(node.name())?,
-                epoch: 0,
-                present: false,
-                heard_ever: false,
-                ended: false,
-                pace: Pace::Live,
-                last: None,
-                excluded_since_ns: None,
-                excluded_share: 0.0,
-                often_excluded: false,
-                messages: 0,
-                bytes_received: 0,
-                bytes_sent: 0,
-                refused: BTreeMap::new(),
-                restarts: 0,
-            })
+            let channels = screened_channels(structure, node).into_iter().map(named);
+            Ok(Node::new(named(node.name())?, channels.collect::<Result<_, FuseError>>()?))
         };
         let parameter = |(index, parameter): (usize, &spandrel_structure::Parameter)| {
             Ok((named(parameter.name())?, structure.displayed_loss(index)))
@@ -148,26 +123,31 @@ impl Fusion {
             t0_ns: None,
             begun_ns: None,
             due_ns: None,
+            looked_ns: None,
             done: 0,
-            next_index: Some(1),
+            origin: None,
+            // the lowest is of nodes that have told nothing
+            next_index: Some(i64::MIN + 1),
             last_ns: None,
             ended: false,
+            deserted: false,
             healthy: true,
+            variances: plan.sends_variances(),
+            told_units: (0..structure.nodes().len()).map(|node| structure.told_units(node)).collect(),
         })
     }
 
     /// Takes one input and appends what follows from it.
     pub fn handle(&mut self, input: Input, outputs: &mut Vec<Output>) {
         match input {
-            Input::Local { node, message, bytes, arrived_ns } => self.take(node, message, bytes, arrived_ns),
-            Input::Present(present) => {
-                for (node, present) in self.nodes.iter_mut().zip(present) {
-                    node.present = present;
-                }
+            Input::Local { node, message, bytes, arrived_ns } => {
+                self.take(node, *message, bytes, arrived_ns, outputs);
             }
+            Input::Present(present) => self.note_presence(&present, outputs),
             Input::Tick(now_ns) => {
                 self.follow_clock(now_ns);
-                if self.is_live() && self.due_ns.is_some_and(|due_ns| now_ns >= due_ns) {
+                // what would be fused after the end is nothing but older
+                if !self.ended && self.is_live() && self.due_ns.is_some_and(|due_ns| now_ns >= due_ns) {
                     let periods = self.periods(now_ns);
                     self.fuse(periods, now_ns, outputs);
                     // a station that was held up goes on with the next period of its clock
@@ -180,7 +160,7 @@ impl Fusion {
             self.next_index = index.checked_add(1);
             let times = self.nodes.iter().filter_map(|node| node.last.filter(|(at, _)| *at >= index));
             let time_ns = times.map(|(_, time_ns)| time_ns).max().unwrap_or(0);
-            self.fuse(index as f64, time_ns, outputs);
+            self.fuse(self.since_origin(index), time_ns, outputs);
         }
         if !self.ended && self.nodes.iter().any(|node| node.ended) && self.nodes.iter().all(Node::is_over) {
             self.end(outputs);
@@ -212,6 +192,11 @@ impl Fusion {
         self.nodes.iter().map(|node| &node.name)
     }
 
+    /// Returns the names of the channels whose outliers are screened, by node in the order of the file.
+    pub fn screened_channels(&self) -> impl Iterator<Item = impl Iterator<Item = &Name>> {
+        self.nodes.iter().map(Node::channel_names)
+    }
+
     /// Adds to the bytes sent to a node.
     pub fn count_sent(&mut self, node: usize, bytes: u64) {
         if let Some(node) = self.nodes.get_mut(node) {
@@ -234,9 +219,26 @@ impl Fusion {
         self.begun_ns.map_or(0.0, |begun| now_ns.saturating_sub(begun).max(0) as f64 * 1e-9 * self.rate_hz)
     }
 
-    /// Goes on from where it was when the clock has been set back by more than a period.
+    /// Number of a fusion period of measurement time, of which a message with this time is the last.
+    fn number(&self, time_ns: i64) -> i64 {
+        // the last sample lies just before the end of the period
+        (time_ns as f64 * 1e-9 * self.rate_hz).round() as i64
+    }
+
+    /// Periods of measurement time since the one before the first message.
+    fn since_origin(&self, number: i64) -> f64 {
+        number.saturating_sub(self.origin.unwrap_or(number)) as f64
+    }
+
+    /// Goes on from where it was when the clock has been set: back by more than a period, or forward.
     fn follow_clock(&mut self, now_ns: i64) {
+        let looked_ns = self.looked_ns.replace(now_ns);
         let Some((begun_ns, due_ns)) = self.begun_ns.as_mut().zip(self.due_ns.as_mut()) else { return };
+        let since_ns = looked_ns.map_or(0, |looked_ns| now_ns.saturating_sub(looked_ns));
+        if since_ns as f64 * 1e-9 * self.rate_hz > LONGEST_LOOK {
+            let beyond_ns = since_ns.saturating_sub((1e9 / self.rate_hz) as i64);
+            (*begun_ns, *due_ns) = (begun_ns.saturating_add(beyond_ns), due_ns.saturating_add(beyond_ns));
+        }
         let ahead_ns = due_ns.saturating_sub(now_ns);
         if ahead_ns as f64 * 1e-9 * self.rate_hz > 1.0 {
             *begun_ns = begun_ns.saturating_sub(ahead_ns);
@@ -255,7 +257,7 @@ impl Fusion {
     ///
     /// It is the earliest that any of them has sent: a station that comes late begins where they are, and a jump of their counts
     /// is one fusion.
-    fn complete_index(&self) -> Option<u64> {
+    fn complete_index(&self) -> Option<i64> {
         if self.is_live() {
             return None;
         }
@@ -266,7 +268,38 @@ impl Fusion {
         self.nodes.iter().filter_map(reached).min().filter(|_| all_are_there)
     }
 
-    fn take(&mut self, position: usize, message: LocalMessage, bytes: u64, arrived_ns: i64) {
+    /// Takes which nodes are there; that none is any more is told at once, because no fusion may follow.
+    fn note_presence(&mut self, present: &[bool], outputs: &mut Vec<Output>) {
+        let before = self.nodes.iter().any(|node| node.present);
+        for (node, present) in self.nodes.iter_mut().zip(present) {
+            node.present = *present;
+        }
+        let now = self.nodes.iter().any(|node| node.present);
+        self.deserted = !now && (before || self.deserted);
+        if !before || now || !self.nodes.iter().any(|node| node.heard_ever) {
+            return;
+        }
+        if let Some(time_ns) = self.done_ns() {
+            let (what, why) = ("no node is there any more", "the liveliness tokens of all workers of nodes are gone");
+            self.tell(EventKind::NodeSilent, "fuse", what, why.to_owned(), time_ns, outputs);
+            self.show_nodes(time_ns, outputs);
+        }
+    }
+
+    fn take(
+        &mut self,
+        position: usize,
+        mut message: LocalMessage,
+        bytes: u64,
+        arrived_ns: i64,
+        outputs: &mut Vec<Output>,
+    ) {
+        self.follow_clock(arrived_ns);
+        let number = self.number(message.header.time_ns);
+        if message.density.is_some() {
+            self.origin.get_or_insert(number.saturating_sub(1));
+        }
+        let since_origin = self.since_origin(number);
         let Some(node) = self.nodes.get_mut(position) else { return };
         node.bytes_received += bytes;
         if node.heard_ever && message.header.epoch < node.epoch {
@@ -284,38 +317,44 @@ impl Fusion {
             let phase_ns = (FIRST_MESSAGE_AT / self.rate_hz * 1e9) as i64;
             arrived_ns.saturating_sub(phase_ns)
         });
-        let index = message.header.sequence;
-        if let Some(density) = message.density {
+        let (index, time_ns) = (message.header.sequence, message.header.time_ns);
+        if let Some(density) = message.density.take() {
             let lineage = density.lineage.map(|lineage| Lineage { own: lineage.own, answers: lineage.answers });
             // checked when it was decoded; a hand-made message may still be none
             let Some(parameters) = Gaussian::from_triangle(&density.mean, &density.covariance) else {
                 *node.refused.entry("dimension").or_default() += 1;
                 return;
             };
-            let motion = density
-                .motion
-                .map(|numbers| CompressedMotion { mean: numbers.mean.into(), variance: numbers.variance.into() });
+            let motion = density.motion.map(|told| {
+                let (mean, variance) = told.into_numbers();
+                CompressedMotion { mean: mean.into(), variance: variance.into() }
+            });
             let at = match message.pace {
-                Pace::Replayed => index as f64,
+                Pace::Replayed => since_origin,
                 Pace::Live => arrived_ns.saturating_sub(begun_ns).max(0) as f64 * 1e-9 * self.rate_hz,
             };
-            if let Err(refusal) =
-                self.station.receive(position, LocalEstimate { index, parameters, lineage, motion }, at)
-            {
+            let instant = (time_ns as f64 * 1e-9) * self.rate_hz;
+            let estimate = LocalEstimate { index, parameters, lineage, motion, instant };
+            if let Err(refusal) = self.station.receive(position, estimate, at) {
                 *node.refused.entry(refusal.as_str()).or_default() += 1;
                 return;
             }
             node.messages += 1;
-            node.last = Some((index, message.header.time_ns));
+            node.last = Some((number, time_ns));
+            // a sensor may end and begin anew while its worker stays
+            (node.ended, self.ended) = (false, false);
         }
+        node.note(&message, arrived_ns);
+        let screened = node.screened(&self.structure, &message).into_iter();
+        outputs.extend(screened.map(|display| Output::Outliers(position, display)));
         (node.pace, node.heard_ever, node.restarts) = (message.pace, true, message.restarts);
         if message.pace == Pace::Live && self.due_ns.is_none() {
             self.due_ns = Some(begun_ns + (1e9 / self.rate_hz) as i64);
         }
         if message.state == StreamState::Ended {
             node.ended = true;
-            let before = node.last.map_or(0, |(index, _)| index);
-            node.last = Some((before, message.header.time_ns));
+            let before = node.last.map_or(i64::MIN, |(number, _)| number);
+            node.last = Some((before, time_ns));
         }
     }
 
@@ -351,6 +390,9 @@ impl Fusion {
             mean: motion.mean.as_slice().to_vec(),
             variance: motion.variance.as_slice().to_vec(),
         };
+        let told = |motion: &CompressedMotion, node: usize| {
+            ToldMotion::new(motion.mean.as_slice(), motion.variance.as_slice(), &self.told_units[node])
+        };
         for (position, feedback) in fused.feedback.iter().enumerate() {
             let Some(feedback) = feedback else { continue };
             let responses = feedback.responses.iter().enumerate();
@@ -360,80 +402,46 @@ impl Fusion {
                 answers: feedback.answers,
                 nodes: feedback.nodes as u16,
                 mean: feedback.parameters.mean.as_slice().to_vec(),
-                covariance: feedback.parameters.triangle(),
+                covariance: match self.variances {
+                    true => feedback.parameters.variances(),
+                    false => feedback.parameters.triangle(),
+                },
                 motion: feedback.motion.as_ref().map(numbers),
                 // a node knows its own
                 responses: responses
-                    .map(|(node, motion)| motion.as_ref().filter(|_| node != position).map(numbers))
+                    .map(|(node, motion)| motion.as_ref().filter(|_| node != position).map(|motion| told(motion, node)))
                     .collect(),
             };
             outputs.push(Output::Feedback(position, message));
         }
     }
 
+    /// Tells how the nodes stand after a fusion, and what is new of them and of the station.
     fn tell_nodes(&mut self, fused: &Fused, time_ns: i64, outputs: &mut Vec<Output>) {
+        let mut events = Vec::new();
         for (node, report) in self.nodes.iter_mut().zip(&fused.nodes) {
-            if report.heard {
-                let excluded = f64::from(u8::from(report.excluded));
-                node.excluded_share += (excluded - node.excluded_share) / SHARE_MEMORY;
-                node.excluded_since_ns = if report.excluded { node.excluded_since_ns.or(Some(time_ns)) } else { None };
-            }
-            let often = match node.often_excluded {
-                false => node.excluded_share > OFTEN,
-                true => node.excluded_share > OFTEN / 2.0,
-            };
-            if often != node.often_excluded {
-                node.often_excluded = often;
-                let (kind, what) = match often {
-                    true => (EventKind::NodeExcluded, "the node disagrees with the others and is left out"),
-                    false => (EventKind::NodeBack, "the node agrees with the others again"),
-                };
-                let share = node.excluded_share * 100.0;
-                let why = match report.distance.zip(self.distance_limit) {
-                    Some((distance, limit)) => {
-                        format!("left out in {share:.0} % of late; distance {distance:.1}, regular up to {limit:.1}")
-                    }
-                    None => format!("left out in {share:.0} % of late"),
-                };
-                outputs.push(Output::Event(Event {
-                    structure: self.structure.clone(),
-                    time_ns,
-                    kind,
-                    subject: node.name.to_string(),
-                    what: what.to_owned(),
-                    why,
-                }));
-            }
-            outputs.push(Output::Node(NodeDisplay {
-                structure: self.structure.clone(),
-                node: node.name.clone(),
-                time_ns,
-                state: match (node.ended, report.heard, report.excluded) {
-                    (true, ..) => NodeHealth::Ended,
-                    (false, false, _) => NodeHealth::Silent,
-                    (false, true, true) => NodeHealth::Excluded,
-                    (false, true, false) => NodeHealth::Used,
-                },
-                distance: report.distance,
-                distance_limit: self.distance_limit,
-                excluded_since_ns: node.excluded_since_ns,
-                excluded_share: node.excluded_share,
-                messages: node.messages,
-                bytes_received: node.bytes_received,
-                bytes_sent: node.bytes_sent,
-                refused: node.refused.iter().map(|(reason, count)| ((*reason).to_owned(), *count)).collect(),
-                restarts: node.restarts,
+            let mut news = Vec::new();
+            node.judge(*report, node.ended || self.deserted, time_ns, &mut news);
+            let distance = report.distance.zip(self.distance_limit);
+            events.extend(news.into_iter().map(|(kind, what, mut why)| {
+                if let Some((distance, limit)) = distance {
+                    why.push_str(&format!("; distance {distance:.1}, regular up to {limit:.1}"));
+                }
+                (kind, node.name.to_string(), what, why)
             }));
         }
+        for (kind, subject, what, why) in events {
+            self.tell(kind, &subject, what, why, time_ns, outputs);
+        }
+        self.show_nodes(time_ns, outputs);
         if fused.started_anew {
-            outputs.push(Output::Event(Event {
-                structure: self.structure.clone(),
-                time_ns,
-                kind: EventKind::Restart,
-                subject: "fuse".to_owned(),
-                what: "the station begins anew from the prior".to_owned(),
-                why: "a fused parameter was outside of what is sound".to_owned(),
-            }));
+            let why = "a fused parameter was outside of what is sound".to_owned();
+            self.tell(EventKind::Restart, "fuse", "the station begins anew from the prior", why, time_ns, outputs);
+        }
+        if fused.adopted {
+            let (what, why) =
+                ("the station takes over what the nodes know", "they have been fused by a station before this one");
+            self.tell(EventKind::Restart, "fuse", what, why.to_owned(), time_ns, outputs);
         }
         let healthy = fused.used > 0;
         if healthy != self.healthy {
@@ -442,21 +450,37 @@ impl Fusion {
                 false => (EventKind::Gap, "nothing to fuse", "no node has sent anything that could be used"),
                 true => (EventKind::NodeBack, "nodes are fused again", "something has come that can be used"),
             };
-            outputs.push(Output::Event(Event {
-                structure: self.structure.clone(),
-                time_ns,
-                kind,
-                subject: "fuse".to_owned(),
-                what: what.to_owned(),
-                why: why.to_owned(),
-            }));
+            self.tell(kind, "fuse", what, why.to_owned(), time_ns, outputs);
         }
+    }
+
+    fn show_nodes(&self, time_ns: i64, outputs: &mut Vec<Output>) {
+        let displays = self
+            .nodes
+            .iter()
+            .map(|node| node.display(&self.structure, time_ns, node.ended || self.deserted, self.distance_limit));
+        outputs.extend(displays.map(Output::Node));
+    }
+
+    fn tell(&self, kind: EventKind, subject: &str, what: &str, why: String, time_ns: i64, outputs: &mut Vec<Output>) {
+        outputs.push(Output::Event(Event {
+            structure: self.structure.clone(),
+            time_ns,
+            kind,
+            subject: subject.to_owned(),
+            what: what.to_owned(),
+            why,
+        }));
     }
 
     fn end(&mut self, outputs: &mut Vec<Output>) {
         self.ended = true;
         if let (Some(t0_ns), Some(last_ns)) = (self.t0_ns, self.last_ns) {
             outputs.push(Output::Estimates(self.block(self.done, t0_ns, last_ns, Vec::new(), StreamState::Ended)));
+        }
+        // the last nodes ended after the last fusion
+        if let Some(done_ns) = self.done_ns() {
+            self.show_nodes(done_ns, outputs);
         }
     }
 
@@ -481,11 +505,10 @@ impl Fusion {
     }
 }
 
-impl Node {
-    /// Nothing more will come of it.
-    fn is_over(&self) -> bool {
-        self.ended || !self.present
-    }
+/// The names of the channels of a node whose outliers are screened, in the order in which it tells of them.
+fn screened_channels<'s>(structure: &Structure, node: &'s spandrel_structure::Node) -> Vec<&'s str> {
+    let Some(own) = structure.of_node(node.name()).filter(Structure::screens_outliers) else { return Vec::new() };
+    own.observation_channels().iter().map(|channel| node.channels()[*channel].name()).collect()
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@
 
 mod error;
 pub mod fusion;
+mod node;
 pub mod shell;
 
 pub use error::FuseError;

@@ -4,9 +4,10 @@ use crate::error::FuseError;
 use crate::fusion::{Fusion, Input, Output};
 use spandrel_bus::{
     Bus, BusError, Description, DisplayPublisher, EstimateBlock, Event, FeedbackMessage, Keys, LatestPublisher,
-    LiveToken, LiveWatch, LocalMessage, Message, Name, NodeDisplay, NumberedPublisher, NumberedStream,
-    ParameterDisplay, ProgressPublisher, Service, Status, Subscription,
+    LiveToken, LiveWatch, LocalMessage, Message, Name, NodeDisplay, NumberedPublisher, NumberedStream, OutlierDisplay,
+    ParameterDisplay, ProgressPublisher, Service, Status, StreamState, Subscription,
 };
+use spandrel_filter::fusion::compression::MISSED_MASS;
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -36,6 +37,7 @@ pub struct FuseService {
     parameters: BTreeMap<Name, DisplayPublisher<ParameterDisplay>>,
     feedback: Vec<DisplayPublisher<FeedbackMessage>>,
     nodes: BTreeMap<Name, DisplayPublisher<NodeDisplay>>,
+    outliers: BTreeMap<Name, DisplayPublisher<OutlierDisplay>>,
     /// by key of their messages and of their liveliness tokens
     positions: BTreeMap<String, usize>,
     tokens: Vec<String>,
@@ -63,7 +65,10 @@ impl FuseService {
                 buffer_key: keys.estimates_buffer(),
                 source: id.to_string(),
                 epoch,
+                first: 0,
+                state: StreamState::Running,
                 capacity: ESTIMATES_KEPT,
+                forget: None,
             })
             .await?;
         let mut parameters = BTreeMap::new();
@@ -77,6 +82,10 @@ impl FuseService {
             nodes.insert(name.clone(), bus.publish_display(keys.node(name)).await?);
             positions.insert(keys.local(name), position);
             tokens.push(keys.live(Service::Identify, name));
+        }
+        let mut outliers = BTreeMap::new();
+        for channel in core.screened_channels().flatten() {
+            outliers.insert(channel.clone(), bus.publish_display(keys.outlier(channel)).await?);
         }
         let description = bus.publish_latest(keys.description()).await?;
         description
@@ -92,6 +101,7 @@ impl FuseService {
             parameters,
             feedback,
             nodes,
+            outliers,
             positions,
             tokens,
             events: bus.publish_display(keys.event()).await?,
@@ -106,6 +116,9 @@ impl FuseService {
             epoch,
         };
         info!(structure = structure.name(), nodes = service.feedback.len(), "station ready");
+        if let Some((modes, missed)) = structure.sent_modes().filter(|(_, missed)| *missed > MISSED_MASS) {
+            warn!(structure = structure.name(), modes, missed, "the modes that nodes send miss a share of the mass");
+        }
         Ok(service)
     }
 
@@ -156,7 +169,7 @@ impl FuseService {
             return Ok(());
         };
         let bytes = message.encode().map_or(0, |payload| payload.len() as u64);
-        self.handle(Input::Local { node, message, bytes, arrived_ns: now_ns() }).await
+        self.handle(Input::Local { node, message: Box::new(message), bytes, arrived_ns: now_ns() }).await
     }
 
     async fn handle(&mut self, input: Input) -> Result<(), FuseError> {
@@ -191,6 +204,11 @@ impl FuseService {
                     show(publisher, &display).await?;
                 }
             }
+            Output::Outliers(_, display) => {
+                if let Some(publisher) = self.outliers.get(&display.channel) {
+                    show(publisher, &display).await?;
+                }
+            }
             Output::Event(event) => {
                 warn!(
                     structure = event.structure.as_str(),
@@ -217,6 +235,7 @@ impl FuseService {
             id: self.id.clone(),
             time_ns: now_ns,
             lag_s: self.core.done_ns().map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
+            pace: None,
             done: self.core.done(),
             drops,
             restarts: 0,

@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Intervals over which values are put together (s): a minute, an hour, a day.
 pub(crate) const RESOLUTIONS_S: [i64; 3] = [60, 3_600, 86_400];
-/// Series of one structure beside those that its file names: model classes and noise levels.
+/// Series of one structure beside those that its file names: model classes.
 const OTHER_SERIES: usize = 256;
 
 const SECOND_NS: i64 = 1_000_000_000;
@@ -116,15 +116,21 @@ impl Collector {
         let nodes = structure.nodes().iter().map(|node| series(Kind::Node, node.name()));
         let channels = structure.nodes().iter().flat_map(|node| node.channels());
         let channels = channels.map(|channel| series(Kind::Outlier, channel.name()));
+        let levels = structure.noise_levels().iter().map(|level| series(Kind::Noise, level.name()));
         Self {
             structure: format!("{root}/{}", structure.name()),
-            known: parameters.chain(nodes).chain(channels).collect(),
+            known: parameters.chain(levels).chain(nodes).chain(channels).collect(),
             others: BTreeSet::new(),
             points: Vec::new(),
             happened: Vec::new(),
             newest_ns: None,
             unknown: 0,
         }
+    }
+
+    /// What the structure file names.
+    pub(crate) fn named(&self) -> &BTreeSet<Series> {
+        &self.known
     }
 
     /// Takes a message.

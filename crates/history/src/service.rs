@@ -1,17 +1,17 @@
 //! Joins the history to the bus.
 
 use crate::backlog::Backlog;
-use crate::batch::{Batch, Collector, Input, Series};
+use crate::batch::{Batch, Collector, Input, Kind, Series};
 use crate::database::Database;
 use crate::error::HistoryError;
 use crate::settings::{Address, Keep};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Bus, BusError, DisplayPublisher, Event, Keys, LiveToken, ModelClassDisplay, Name,
-    NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Question, Questions, Service, SpanQuery, Status,
-    Subscription, Topic, parse_key,
+    Acknowledgement, AlertMessage, Bus, BusError, DisplayPublisher, Event, HistoryLog, Keys, LiveToken, LiveWatch,
+    ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Question, Questions, Service,
+    SpanQuery, Status, Subscription, Topic, parse_key,
 };
 use spandrel_structure::Structure;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -54,6 +54,8 @@ pub struct HistoryService {
     service: Name,
     answering: JoinSet<()>,
     asked: JoinSet<Result<Vec<(String, AlertMessage)>, BusError>>,
+    /// Alerts of the logs that were asked for.
+    logged: (flume::Sender<AlertMessage>, flume::Receiver<AlertMessage>),
 }
 
 /// What waits to be written, shared with whoever writes it.
@@ -126,6 +128,7 @@ impl HistoryService {
             id,
             answering: JoinSet::new(),
             asked: JoinSet::new(),
+            logged: flume::bounded(ALERTS_WAITING),
         };
         for (structure, keys) in structures {
             service.listen(structure, keys, bus).await?;
@@ -152,9 +155,12 @@ impl HistoryService {
         };
         let spans = bus.questions(keys.all_history(), QUESTIONS_WAITING).await?;
         let log = bus.questions(keys.history_log(), QUESTIONS_WAITING).await?;
-        self.answering.spawn(answer_spans(spans, self.database.clone(), keys.clone()));
+        let named = source.collector.named().clone();
+        self.answering.spawn(answer_spans(spans, self.database.clone(), keys.clone(), named));
         self.answering.spawn(answer_log(log, self.database.clone(), keys.clone()));
-        // what was decided while nobody listened: the last state of each alert is kept by the alert service
+        // what was decided while nobody listened: the alert service keeps its last changes, and the last state of each alert
+        let tokens = bus.watch_live(keys.all_live(Service::Alert)).await?;
+        self.answering.spawn(ask_for_alerts(bus.clone(), keys.clone(), tokens, self.logged.0.clone()));
         let (bus, alerts) = (bus.clone(), keys.all_alerts());
         self.asked.spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
         self.sources.push(source);
@@ -236,6 +242,12 @@ impl HistoryService {
                 Err(error) => warn!(%error, "question for the last alerts is lost"),
             }
         }
+        for alert in self.logged.1.try_iter() {
+            let of_structure = |source: &&mut Source| alert.structure == *source.keys.structure();
+            if let Some(source) = self.sources.iter_mut().find(of_structure) {
+                source.collector.handle(Input::Alert(alert));
+            }
+        }
         self.sources.iter_mut().for_each(Source::take);
     }
 
@@ -274,6 +286,7 @@ impl HistoryService {
                 id: self.id.clone(),
                 time_ns,
                 lag_s: source.collector.newest_ns.map(|newest_ns| time_ns.saturating_sub(newest_ns) as f64 / 1e9),
+                pace: None,
                 done: source.taken,
                 drops,
                 restarts: 0,
@@ -376,7 +389,28 @@ async fn forget_old(database: Database, newest: Vec<(String, i64)>, keep: Keep) 
     }
 }
 
-async fn answer_spans(questions: Questions, database: Database, keys: Keys) {
+/// Asks for the last changes of alerts whenever the alert service comes, or comes back: what it put while there was no link, or
+/// what this service took and could not write before it died, comes again, and is written once.
+async fn ask_for_alerts(bus: Bus, keys: Keys, mut tokens: LiveWatch, out: flume::Sender<AlertMessage>) {
+    loop {
+        if !tokens.changed().await.is_empty() {
+            match bus.ask::<HistoryLog>(&keys.alert_log(), ANSWER_WITHIN).await {
+                Ok(answers) => {
+                    let logs = answers.into_iter().map(|(_, log)| log);
+                    for alert in logs.filter(|log| log.structure == *keys.structure()).flat_map(|log| log.alerts) {
+                        if alert.structure == *keys.structure() && out.send_async(alert).await.is_err() {
+                            return;
+                        }
+                    }
+                }
+                Err(error) => warn!(%error, "cannot ask for the last changes of alerts"),
+            }
+        }
+    }
+}
+
+/// `named`: what the structure file names. What it does not name has no answer either, unless something of it was kept.
+async fn answer_spans(questions: Questions, database: Database, keys: Keys, named: BTreeSet<Series>) {
     let structure = format!("{}/{}", keys.root(), keys.structure());
     while let Some(question) = questions.next().await {
         let Some((_, Topic::History(name))) = parse_key(keys.root(), question.key_expression()) else {
@@ -389,10 +423,30 @@ async fn answer_spans(questions: Questions, database: Database, keys: Keys) {
             continue;
         };
         match database.span(&structure, keys.structure(), &series, &query).await {
+            Ok(span) if span.kept_from_s.is_none() && !may_come(&named, &series) => {
+                question.refuse(&unknown(&named, &series)).await;
+            }
             Ok(span) => answer(&question, &keys.history(&name), &span).await,
             Err(error) => refuse(&question, &error).await,
         }
     }
+}
+
+/// Whether values of a series may come: model classes are not in the structure file by name.
+fn may_come(named: &BTreeSet<Series>, series: &Series) -> bool {
+    match series.kind {
+        Kind::Class => true,
+        Kind::Parameter | Kind::Noise | Kind::Outlier | Kind::Node => named.contains(series),
+    }
+}
+
+/// Says which series of a kind there are.
+fn unknown(named: &BTreeSet<Series>, series: &Series) -> String {
+    let kind = series.kind.as_str();
+    let known: Vec<&str> =
+        named.iter().filter(|known| known.kind == series.kind).map(|known| known.name.as_str()).collect();
+    let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+    format!("no {kind} is called {:?}, and nothing of it was kept; of kind {kind} there are: {known}", series.name)
 }
 
 async fn answer_log(questions: Questions, database: Database, keys: Keys) {
@@ -448,4 +502,24 @@ fn now_ns() -> i64 {
     )]
     let now = SystemTime::now();
     now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_that_the_structure_file_does_not_have_is_refused_with_those_that_it_has() {
+        let series = |kind, name: &str| Series { kind, name: name.to_owned() };
+        let named = BTreeSet::from([
+            series(Kind::Parameter, "storey-1"),
+            series(Kind::Parameter, "storey-2"),
+            series(Kind::Noise, "floors"),
+        ]);
+        let misspelt = series(Kind::Parameter, "story-1");
+        assert!(may_come(&named, &series(Kind::Parameter, "storey-2")) && !may_come(&named, &misspelt));
+        assert!(may_come(&named, &series(Kind::Class, "baseline")), "classes come and go");
+        let told = "no parameter is called \"story-1\", and nothing of it was kept; of kind parameter there are: storey-1, storey-2";
+        assert_eq!(unknown(&named, &misspelt), told);
+    }
 }

@@ -1,6 +1,7 @@
 //! What can keep an identification from starting, or end the service.
 
 use spandrel_bus::{BusError, NameError};
+use spandrel_checkpoint::CheckpointError;
 use spandrel_filter::FilterError;
 use thiserror::Error;
 
@@ -30,6 +31,9 @@ pub enum IdentifyError {
         /// Why.
         source: NameError,
     },
+    /// What the service remembers cannot be kept.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
     /// The bus refused a declaration or is closed.
     #[error(transparent)]
     Bus(#[from] BusError),

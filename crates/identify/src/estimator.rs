@@ -1,9 +1,10 @@
 //! What turns frames into estimates: one filter, one for each model class, or particles.
 
 use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
 use spandrel_filter::{
-    ClassBank, ExtendedKalmanFilter, FilterError, FilterSettings, Frame, NoiseState, OutlierState, ParticleSettings,
-    ProcessModel, Step, WarmStartedParticleFilter,
+    ClassBank, ClassBankState, ExtendedKalmanFilter, FilterError, FilterSettings, FilterState, Frame, NoiseState,
+    OutlierState, ParticleSettings, ProcessModel, Step, WarmStartState, WarmStartedParticleFilter,
 };
 use spandrel_structure::{Structure, StructureClasses, StructureModel};
 
@@ -16,6 +17,17 @@ pub enum Estimator {
     Classes(Box<ClassBank<StructureClasses>>),
     /// One model without the assumption that anything is Gaussian: slow, and the yardstick for the other two.
     Particles(Box<Particles>),
+}
+
+/// The state of an estimator between two frames: what a checkpoint holds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum EstimatorState {
+    /// Of one model.
+    Filter(FilterState),
+    /// Of several models.
+    Classes(ClassBankState),
+    /// Of particles.
+    Particles(WarmStartState),
 }
 
 /// How particles are used in place of a Kalman filter.
@@ -165,6 +177,36 @@ impl Estimator {
             Self::Particles(particles) => {
                 particles.filter.forget_motion();
                 particles.take_estimates();
+            }
+        }
+    }
+
+    /// Returns the state for a checkpoint.
+    #[must_use]
+    pub fn state(&self) -> EstimatorState {
+        match self {
+            Self::Filter(filter) => EstimatorState::Filter(filter.state().clone()),
+            Self::Classes(bank) => EstimatorState::Classes(bank.state()),
+            Self::Particles(particles) => EstimatorState::Particles(particles.filter.state()),
+        }
+    }
+
+    /// Takes the state of a checkpoint; the next frame gives the same bits as if the estimator had never stopped.
+    ///
+    /// # Errors
+    /// When the state is that of another kind of estimator, or does not fit the models.
+    pub fn restore(&mut self, state: EstimatorState) -> Result<(), FilterError> {
+        match (self, state) {
+            (Self::Filter(filter), EstimatorState::Filter(state)) => filter.restore(state),
+            (Self::Classes(bank), EstimatorState::Classes(state)) => bank.restore(state),
+            (Self::Particles(particles), EstimatorState::Particles(state)) => {
+                particles.filter.restore(state)?;
+                particles.take_estimates();
+                Ok(())
+            }
+            (Self::Filter(_) | Self::Classes(_) | Self::Particles(_), _) => {
+                let what = "kind of estimator of a checkpoint (0: another, 1: that of the structure file)";
+                Err(FilterError::Dimension { what, found: 0, expected: 1 })
             }
         }
     }

@@ -2,6 +2,7 @@
 
 mod events;
 mod hearing;
+mod state;
 
 use crate::display::{Decimation, ParameterView, noise_display};
 use crate::error::IdentifyError;
@@ -9,6 +10,7 @@ use crate::estimator::Estimator;
 use crate::model_classes::ClassView;
 use crate::screening::ScreeningView;
 use hearing::Hearing;
+use serde::{Deserialize, Serialize};
 use spandrel_bus::{
     Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FrameBlock, Header, ModelClassDisplay, Name,
     NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, StreamState, TimeGrid,
@@ -26,6 +28,12 @@ const STUCK_SAMPLES: u64 = 50;
 
 /// Longest estimate block that one input makes: what comes of a long gap is cut.
 const LONGEST_BLOCK: usize = 4096;
+
+pub use state::IdentificationState;
+
+/// Number of a frame in which the identification panics, so that tests see what becomes of it.
+#[cfg(test)]
+pub(crate) static POISONED: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(u64::MAX);
 
 /// What the core reacts to.
 #[derive(Debug, Clone, PartialEq)]
@@ -107,7 +115,7 @@ fn hearing_of(structure: &Structure, channel: Option<usize>) -> Hearing {
 }
 
 /// Where the running epoch of frames stands.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Stream {
     epoch: u64,
     next: u64,
@@ -321,6 +329,11 @@ impl Identification {
         outputs: &mut Vec<Output>,
     ) {
         let time_ns = grid.time_ns(number);
+        #[cfg(test)]
+        assert!(
+            values.iter().all(|value| value.is_nan()) || number != POISONED.load(std::sync::atomic::Ordering::Relaxed),
+            "frame {number} is poisoned"
+        );
         self.frame.copy_from_slice(values);
         if let Some(band_limit) = &mut self.band_limit {
             band_limit.apply(&mut self.frame);

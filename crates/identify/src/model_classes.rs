@@ -27,6 +27,16 @@ impl ClassView {
         Self { structure: structure.clone(), persistence: format!("{persistence_s:.2} s"), latest: None }
     }
 
+    /// Returns the last calibration.
+    pub(crate) fn calibration(&self) -> Option<&ClassCalibration> {
+        self.latest.as_ref()
+    }
+
+    /// Takes the last calibration of a checkpoint.
+    pub(crate) fn set_calibration(&mut self, calibration: Option<ClassCalibration>) {
+        self.latest = calibration;
+    }
+
     /// Takes what happened to the classes at one frame; what people should know of it is returned.
     pub(crate) fn take(&mut self, time_ns: i64, bank: &ClassBank<StructureClasses>) -> Vec<Told> {
         bank.events().iter().map(|event| self.tell(time_ns, event, bank)).collect()

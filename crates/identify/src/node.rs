@@ -1,12 +1,15 @@
 //! The core of a sensor node's worker: samples of one node in, a local estimate once in a fusion period out.
 //!
-//! It knows its own channels and its own clock only. Samples that are replayed wait for the station's answer to each
-//! estimate, so that the same record gives the same numbers; samples as they are measured wait for nothing.
+//! It knows its own channels and its own clock only. Samples are counted on the grid of their rate since 1970, UTC, and fusion
+//! periods end at its multiples: nodes that began apart, or anew, tell of the same instants. Samples that are replayed wait for
+//! the station's answer to each estimate, so that the same record gives the same numbers; samples as they are measured wait for
+//! nothing.
 
 use crate::error::IdentifyError;
+use crate::node_screening::NodeScreening;
 use spandrel_bus::{
-    Event, EventKind, FeedbackMessage, Header, LocalDensity, LocalMessage, MotionNumbers, Name, NodeLineage, Pace,
-    SampleBlock, StreamState,
+    Event, EventKind, FeedbackMessage, Header, LocalDensity, LocalMessage, Name, NodeLineage, Pace, SampleBlock,
+    StreamState, TimeGrid, ToldMotion,
 };
 use spandrel_filter::fusion::{CompressedMotion, Feedback, FeedbackRule, Gaussian, LocalFilter, Taken};
 use spandrel_filter::{BandLimit, Frame};
@@ -15,6 +18,10 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// A gap up to this long (s) is bridged by predictions; over a longer one the motion is forgotten and the parameters stay.
 const BRIDGED_GAP_S: f64 = 10.0;
+
+/// A sample goes to the next place on the grid when its clock has drifted so far (samples) off its own. More than half a sample, so
+/// that times which jitter half-way between two places do not go to and fro.
+const OFF_ITS_PLACE: f64 = 0.75;
 
 /// What the core reacts to.
 #[derive(Debug, Clone, PartialEq)]
@@ -57,8 +64,16 @@ pub struct NodeIdentification {
     excitation: Vec<f64>,
     restarts: u64,
     sent: u64,
+    /// instants since the last message at which there was a sample
+    sampled: u64,
+    /// one for each of its observed channels; empty where outliers are not screened
+    screening: Vec<NodeScreening>,
     dropped: BTreeMap<&'static str, u64>,
     responses: bool,
+    /// exponents of the units in which samples are told, by observation; none where none are
+    told_units: Vec<i16>,
+    variances: bool,
+    done: u64,
 }
 
 /// Where the samples of the running epoch stand.
@@ -67,6 +82,8 @@ struct Stream {
     epoch: u64,
     /// time of the last sample, ns
     last_ns: i64,
+    /// its number on the grid of the sampling rate since 1970
+    number: i64,
     /// the message that has to be answered before replayed samples go on
     awaits: Option<u64>,
 }
@@ -92,6 +109,11 @@ impl NodeIdentification {
             .map(|limit| BandLimit::low_pass(limit.order, limit.frequency_hz, own.sampling_rate_hz(), channels))
             .transpose()
             .map_err(refused)?;
+        let screened = |channel: &usize| NodeScreening::new(structure.name(), node.channels()[*channel].name());
+        let screening = match own.screens_outliers() {
+            true => own.observation_channels().iter().map(screened).collect::<Result<_, _>>()?,
+            false => Vec::new(),
+        };
         Ok(Self {
             structure: named(structure.name())?,
             node: named(node.name())?,
@@ -109,8 +131,13 @@ impl NodeIdentification {
             excitation: vec![0.0; own.excitation_channels().len()],
             restarts: 0,
             sent: 0,
+            sampled: 0,
+            screening,
             dropped: BTreeMap::new(),
             responses: plan.passes_motion_on(),
+            told_units: structure.told_units(position),
+            variances: plan.sends_variances(),
+            done: 0,
             filter,
         })
     }
@@ -134,10 +161,10 @@ impl NodeIdentification {
         self.stream.and_then(|stream| stream.awaits)
     }
 
-    /// Returns the number of samples filtered.
+    /// Returns the number of samples filtered, those that were missing in between included.
     #[must_use]
     pub fn done(&self) -> u64 {
-        self.filter.steps()
+        self.done
     }
 
     /// Returns the time (ns) of the last sample filtered.
@@ -166,21 +193,24 @@ impl NodeIdentification {
 
     fn take_block(&mut self, mut block: SampleBlock, outputs: &mut Vec<NodeOutput>) {
         let channels = usize::from(block.channels);
-        let (Some(grid), true) = (block.grid(), channels == self.sample.len()) else {
+        if block.grid().is_none() || channels != self.sample.len() {
             *self.dropped.entry("samples-of-another-node").or_default() += 1;
             return;
-        };
-        if !self.find_place(&block, outputs) {
+        }
+        if !self.find_place(&mut block, outputs) {
             return;
         }
+        let Some(grid) = block.grid() else { return };
         let count = (block.samples.len() / channels.max(1)) as u64;
         for number in 0..count {
             let start = number as usize * channels;
             self.take_sample(&block.samples[start..start + channels]);
             if let Some(stream) = &mut self.stream {
                 stream.last_ns = grid.time_ns(number);
+                stream.number += 1;
             }
             self.tell_restart(outputs);
+            self.tell_outliers(grid.time_ns(number), outputs);
             if self.filter.is_due() && self.report(block.pace, outputs) && number + 1 < count {
                 // the rest waits for the answer
                 spandrel_bus::Block::skip(&mut block, number + 1);
@@ -189,23 +219,16 @@ impl NodeIdentification {
             }
         }
         if block.state == StreamState::Ended {
-            outputs.push(NodeOutput::Local(self.message(None, block.pace, StreamState::Ended)));
+            let last = self.message(None, block.pace, StreamState::Ended);
+            outputs.push(NodeOutput::Local(last));
         }
     }
 
     /// Moves on to the first sample of a block: bridges what is missing, and drops what has been there.
-    fn find_place(&mut self, block: &SampleBlock, outputs: &mut Vec<NodeOutput>) -> bool {
+    fn find_place(&mut self, block: &mut SampleBlock, outputs: &mut Vec<NodeOutput>) -> bool {
         let time_ns = block.header.time_ns;
         let Some(stream) = self.stream.filter(|stream| stream.epoch == block.header.epoch) else {
-            if self.stream.is_some() {
-                self.filter.skip(0);
-                self.reset_band_limit();
-                let why = "its source of samples began a new epoch";
-                outputs.push(self.event(time_ns, EventKind::Restart, "motion forgotten, parameters kept", why));
-            }
-            let step_ns = (1e9 / self.rate_hz) as i64;
-            let epoch = block.header.epoch;
-            self.stream = Some(Stream { epoch, last_ns: time_ns - step_ns, awaits: None });
+            self.begin_stream(block, outputs);
             return true;
         };
         if block.samples.is_empty() {
@@ -216,26 +239,69 @@ impl NodeIdentification {
             *self.dropped.entry("samples-out-of-order").or_default() += 1;
             return false;
         }
-        let missing = steps as u64 - 1;
+        let mut missing = steps as u64 - 1;
+        // where the clock of the samples has come to since, in samples
+        let off = time_ns as f64 * 1e-9 * self.rate_hz - (stream.number as f64 + steps);
+        if off > OFF_ITS_PLACE {
+            missing += 1;
+        } else if off < -OFF_ITS_PLACE && missing > 0 {
+            missing -= 1;
+        } else if off < -OFF_ITS_PLACE {
+            // its place is taken: the next one comes nearest to the one after it
+            *self.dropped.entry("samples-out-of-step").or_default() += 1;
+            spandrel_bus::Block::skip(block, 1);
+        }
         if missing == 0 {
             return true;
         }
         *self.dropped.entry("missing-samples").or_default() += missing;
         if missing as f64 > BRIDGED_GAP_S * self.rate_hz {
-            self.filter.skip(missing);
-            self.reset_band_limit();
+            self.skip(missing);
             let why = "longer than can be bridged: parameters kept, motion forgotten";
             outputs.push(self.event(time_ns, EventKind::Gap, &format!("{missing} samples are lost for good"), why));
             return true;
         }
         let nothing = vec![f64::NAN; self.sample.len()];
-        for _ in 0..missing {
+        for number in 1..=missing {
             self.take_sample(&nothing);
+            if let Some(running) = &mut self.stream {
+                let since_ns = number as f64 * 1e9 / self.rate_hz;
+                running.last_ns = stream.last_ns.saturating_add(since_ns.round() as i64);
+                running.number += 1;
+            }
             if self.filter.is_due() {
                 self.report(Pace::Live, outputs); // nobody waits within a gap
             }
         }
         true
+    }
+
+    /// Finds the place of the first sample of an epoch in its fusion period; a source that begins anew has been elsewhere since.
+    fn begin_stream(&mut self, block: &SampleBlock, outputs: &mut Vec<NodeOutput>) {
+        let (time_ns, period) = (block.header.time_ns, self.filter.steps_per_period());
+        let nearest = TimeGrid::new(0, self.rate_hz).map_or(0, |grid| grid.nearest(time_ns));
+        match self.stream {
+            None => self.filter.begin_at(nearest.rem_euclid(period as i64).unsigned_abs()),
+            Some(stream) => {
+                let ahead = nearest.saturating_sub(stream.number.saturating_add(1));
+                // what is measured again, or by a clock that was set back, keeps its place in the period
+                self.skip(u64::try_from(ahead).unwrap_or_else(|_| ahead.rem_euclid(period as i64).unsigned_abs()));
+                let why = "its source of samples began a new epoch";
+                outputs.push(self.event(time_ns, EventKind::Restart, "motion forgotten, parameters kept", why));
+            }
+        }
+        let last_ns = time_ns.saturating_sub((1e9 / self.rate_hz) as i64);
+        let number = nearest.saturating_sub(1);
+        self.stream = Some(Stream { epoch: block.header.epoch, last_ns, number, awaits: None });
+    }
+
+    /// Leaves samples out that are missing for too long, and places the next one after them.
+    fn skip(&mut self, samples: u64) {
+        self.filter.skip(samples);
+        if let Some(stream) = &mut self.stream {
+            stream.number = stream.number.saturating_add_unsigned(samples);
+        }
+        self.reset_band_limit();
     }
 
     fn take_sample(&mut self, sample: &[f64]) {
@@ -254,6 +320,8 @@ impl NodeIdentification {
         for (value, channel) in self.excitation.iter_mut().zip(&self.excitation_channels) {
             *value = channel.map_or(0.0, |channel| self.sample[channel]);
         }
+        self.done += 1;
+        self.sampled += u64::from(self.sample.iter().any(|value| !value.is_nan()));
         // the sizes are those of the model; a filter that diverges has started anew
         let _ = self.filter.step(Frame { observations: &self.observations, excitation: &self.excitation });
     }
@@ -265,14 +333,17 @@ impl NodeIdentification {
         self.sent = estimate.index;
         let density = LocalDensity {
             mean: estimate.parameters.mean.as_slice().to_vec(),
-            covariance: estimate.parameters.triangle(),
+            covariance: match self.variances {
+                true => estimate.parameters.variances(),
+                false => estimate.parameters.triangle(),
+            },
             lineage: estimate.lineage.map(|lineage| NodeLineage { own: lineage.own, answers: lineage.answers }),
-            motion: estimate.motion.map(|motion| MotionNumbers {
-                mean: motion.mean.as_slice().to_vec(),
-                variance: motion.variance.as_slice().to_vec(),
-            }),
+            motion: estimate
+                .motion
+                .map(|motion| ToldMotion::new(motion.mean.as_slice(), motion.variance.as_slice(), &self.told_units)),
         };
-        outputs.push(NodeOutput::Local(self.message(Some(density), pace, StreamState::Running)));
+        let message = self.message(Some(density), pace, StreamState::Running);
+        outputs.push(NodeOutput::Local(message));
         let waits = pace == Pace::Replayed && self.answered;
         if let Some(stream) = self.stream.as_mut().filter(|_| waits) {
             stream.awaits = Some(estimate.index);
@@ -280,7 +351,9 @@ impl NodeIdentification {
         waits
     }
 
-    fn message(&self, density: Option<LocalDensity>, pace: Pace, state: StreamState) -> LocalMessage {
+    fn message(&mut self, density: Option<LocalDensity>, pace: Pace, state: StreamState) -> LocalMessage {
+        let screens = self.filter.screens();
+        let screening = self.screening.iter_mut().zip(screens).map(|(channel, screen)| channel.report(screen));
         LocalMessage {
             header: Header {
                 source: self.node.to_string(),
@@ -291,6 +364,8 @@ impl NodeIdentification {
             pace,
             density,
             restarts: self.filter.restarts(),
+            samples: std::mem::take(&mut self.sampled),
+            screening: screening.collect(),
             state,
         }
     }
@@ -317,9 +392,13 @@ impl NodeIdentification {
             answers: message.answers,
             parameters: Gaussian::from_triangle(&message.mean, &message.covariance)?,
             nodes: usize::from(message.nodes),
-            motion: message.motion.as_ref().map(compressed),
+            motion: message.motion.clone().map(|numbers| compressed((numbers.mean, numbers.variance))),
             responses: match self.responses {
-                true => message.responses.iter().map(|numbers| numbers.as_ref().map(compressed)).collect(),
+                true => message
+                    .responses
+                    .iter()
+                    .map(|told| told.clone().map(|told| compressed(told.into_numbers())))
+                    .collect(),
                 false => Vec::new(),
             },
         };
@@ -348,6 +427,21 @@ impl NodeIdentification {
         }
     }
 
+    /// Tells what the last sample has changed for the screening of a channel.
+    fn tell_outliers(&mut self, time_ns: i64, outputs: &mut Vec<NodeOutput>) {
+        for (channel, screen) in self.screening.iter_mut().zip(self.filter.screens()) {
+            let Some((kind, what, why)) = channel.take(time_ns, screen) else { continue };
+            outputs.push(NodeOutput::Event(Event {
+                structure: self.structure.clone(),
+                time_ns,
+                kind,
+                subject: channel.channel().to_string(),
+                what: what.to_owned(),
+                why,
+            }));
+        }
+    }
+
     fn event(&self, time_ns: i64, kind: EventKind, what: &str, why: &str) -> NodeOutput {
         NodeOutput::Event(Event {
             structure: self.structure.clone(),
@@ -360,8 +454,8 @@ impl NodeIdentification {
     }
 }
 
-fn compressed(numbers: &MotionNumbers) -> CompressedMotion {
-    CompressedMotion { mean: numbers.mean.clone().into(), variance: numbers.variance.clone().into() }
+fn compressed((mean, variance): (Vec<f64>, Vec<f64>)) -> CompressedMotion {
+    CompressedMotion { mean: mean.into(), variance: variance.into() }
 }
 
 #[cfg(test)]

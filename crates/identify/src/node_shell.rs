@@ -196,6 +196,7 @@ impl NodeService {
             id: self.node.clone(),
             time_ns: now_ns,
             lag_s: core.and_then(NodeIdentification::last_ns).map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
+            pace: None,
             done: core.map_or(0, NodeIdentification::done),
             drops,
             restarts: core.map_or(0, NodeIdentification::restarts),

@@ -1,6 +1,7 @@
 //! The threads that filters run on.
 
 use std::num::NonZeroUsize;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::thread;
 
 type Job = Box<dyn FnOnce() + Send>;
@@ -25,11 +26,18 @@ impl FilterPool {
             let waiting = waiting.clone();
             thread::Builder::new().name(format!("filter-{index}")).spawn(move || {
                 while let Ok(job) = waiting.recv() {
-                    job();
+                    // What a job was working on is dropped with it, and whoever waits for it hears so: the thread goes on for
+                    // all other structures. The panic itself has been reported where it happened.
+                    drop(catch_unwind(AssertUnwindSafe(job)));
                 }
             })?;
         }
         Ok(Self { jobs })
+    }
+
+    /// Returns whether a thread carries out work that is handed over now; waits as long as it takes.
+    pub async fn responds(&self) -> bool {
+        self.run(|| ()).await.is_some()
     }
 
     /// Carries out `work` on one of the threads and returns what it returns; `None` when it panicked or the pool is gone.
@@ -41,5 +49,18 @@ impl FilterPool {
         });
         self.jobs.send(job).ok()?;
         result.await.ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_job_that_panics_takes_nothing_with_it() {
+        let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
+        assert_eq!(pool.run(|| 1).await, Some(1));
+        assert_eq!(pool.run(|| if true { panic!("as it should") } else { 2 }).await, None);
+        assert_eq!(pool.run(|| 3).await, Some(3));
     }
 }

@@ -1,10 +1,11 @@
 //! What people are told of the outliers of one channel.
 
+use serde::{Deserialize, Serialize};
 use spandrel_bus::{ChannelState, MaskedSpan, Name, OutlierDisplay};
 use spandrel_filter::{ChannelScreen, OutlierChange, Verdict};
 
 /// One channel as it is displayed.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct ScreeningView {
     channel: Name,
     /// samples rejected at the last message
@@ -21,6 +22,11 @@ impl ScreeningView {
 
     pub(crate) fn channel(&self) -> &Name {
         &self.channel
+    }
+
+    /// The latest stretch in which every sample was rejected.
+    pub(crate) fn masked(&self) -> Option<MaskedSpan> {
+        self.masked
     }
 
     /// Takes what became of one sample; the words for an event are returned where it changed something for people.
@@ -61,11 +67,7 @@ impl ScreeningView {
             structure: structure.clone(),
             channel: self.channel.clone(),
             time_ns,
-            state: match (screen.faulty(), screen.trained()) {
-                (true, _) => ChannelState::Faulty,
-                (false, true) => ChannelState::Screening,
-                (false, false) => ChannelState::Training,
-            },
+            state: state(screen),
             flagged,
             rejected: screen.rejected(),
             screened: screen.seen(),
@@ -73,5 +75,14 @@ impl ScreeningView {
             scale: screen.scale(),
             masked: self.masked,
         }
+    }
+}
+
+/// How the screening of a channel stands, in a word.
+pub(crate) fn state(screen: &ChannelScreen) -> ChannelState {
+    match (screen.faulty(), screen.trained()) {
+        (true, _) => ChannelState::Faulty,
+        (false, true) => ChannelState::Screening,
+        (false, false) => ChannelState::Training,
     }
 }

@@ -2,23 +2,31 @@
 
 use crate::error::IdentifyError;
 use crate::identification::{Identification, Input, Output};
+use crate::memory::Memory;
 use crate::pool::FilterPool;
+use crate::trouble::Trouble;
 use spandrel_bus::{
-    Bus, BusError, Delivery, Description, DisplayPublisher, EstimateBlock, Event, EventKind, FrameBlock, Keys,
-    LatestPublisher, LiveToken, Message, ModelClassDisplay, Name, NoiseDisplay, NumberedPublisher, NumberedStream,
-    OutlierDisplay, ParameterDisplay, ProgressPublisher, Service, Start, Status, Stream, StreamState,
+    Block, Bus, BusError, Delivery, Description, DisplayPublisher, EstimateBlock, Event, EventKind, Forget, FrameBlock,
+    Keys, LatestPublisher, LiveToken, Message, ModelClassDisplay, Name, NoiseDisplay, NumberedPublisher,
+    NumberedStream, OutlierDisplay, ParameterDisplay, ProgressPublisher, Service, Start, Status, Stream, StreamState,
 };
+use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 use std::future::Future;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tracing::{debug, info, warn};
 
-/// Estimates kept for readers that missed some; larger than the window that a replay keeps.
+/// Estimates kept for readers that missed some, for a while.
 pub const ESTIMATES_KEPT: u64 = 32_768;
+/// In live operation fewer: larger than the window that a replay keeps.
+const FORGET: Forget = Forget { at_least: 8_192, after: Duration::from_secs(30) };
 
 /// How often the status is put.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
+
+/// Panics of one identification after which the service gives up: they are no longer single frames.
+const MOST_DEATHS: u64 = 100;
 
 /// After a stop, frames are waited for until none has come for this long.
 const LAST_FRAMES: Duration = Duration::from_millis(100);
@@ -26,8 +34,12 @@ const LAST_FRAMES: Duration = Duration::from_millis(100);
 /// The identification service of one structure.
 #[derive(Debug)]
 pub struct IdentifyService {
+    /// taken while a thread of the pool has it, and lost where that has panicked
     core: Option<Identification>,
+    structure: Structure,
+    bus: Bus,
     pool: FilterPool,
+    trouble: Trouble,
     frames: Stream<FrameBlock>,
     estimates: NumberedPublisher<EstimateBlock>,
     parameters: BTreeMap<Name, DisplayPublisher<ParameterDisplay>>,
@@ -44,28 +56,47 @@ pub struct IdentifyService {
     token: Option<LiveToken>,
     last_time_ns: Option<i64>,
     epoch: u64,
+    memory: Option<Memory>,
 }
 
 impl IdentifyService {
-    /// Checks everything and joins the bus; `id` names this instance.
+    /// Checks everything and joins the bus; `id` names this instance, which goes on from its last checkpoint where
+    /// `remembering` says that it keeps any.
     ///
     /// # Errors
-    /// When the filter cannot be made, or the bus refuses a declaration.
+    /// When the filter cannot be made, the checkpoints cannot be kept, or the bus refuses a declaration.
     pub async fn start(
         structure: &Structure,
         bus: &Bus,
         keys: Keys,
         id: Name,
         pool: FilterPool,
+        remembering: Option<&Remembering>,
     ) -> Result<Self, IdentifyError> {
-        let core = Identification::new(structure, id.as_str())?;
+        let new = || Identification::new(structure, id.as_str());
+        let memory = match remembering {
+            Some(remembering) => {
+                let alert = bus.watch_progress(keys.progress(Service::Alert)).await?;
+                Some(Memory::open(structure, remembering, alert)?)
+            }
+            None => None,
+        };
+        let core = match &memory {
+            Some(memory) => memory.recall(new)?,
+            None => new()?,
+        };
+        let (epoch, first) = core.position().unwrap_or((0, 0)); // without a past: the epoch of the first frames
+        let start = start_of(&core);
         let estimates = bus
             .publish_numbered(NumberedStream {
                 key: keys.estimates(),
                 buffer_key: keys.estimates_buffer(),
                 source: id.to_string(),
-                epoch: 0, // that of the frames, from the first block on
+                epoch,
+                first,
+                state: StreamState::Running,
                 capacity: ESTIMATES_KEPT,
+                forget: Some(FORGET),
             })
             .await?;
         let mut parameters = BTreeMap::new();
@@ -88,16 +119,17 @@ impl IdentifyService {
         description
             .put(&Description { structure: keys.structure().clone(), text: structure.text().to_owned() })
             .await?;
-        let (channels, rate_hz) = (structure.channel_count(), structure.sampling_rate_hz());
-        let is_of_structure = move |block: &FrameBlock| match usize::from(block.channels) == channels
-            && block.sampling_rate_hz == rate_hz
-        {
-            true => Ok(()),
-            false => Err("frames-of-another-structure"),
-        };
-        let settings = bus.reading(Start::Beginning);
-        let frames = bus.follow_fit(keys.frames(), keys.recording(), settings, is_of_structure).await?;
+        let frames = follow_frames(structure, bus, &keys, start).await?;
+        let progress = bus.publish_progress(keys.progress(Service::Identify), id.to_string()).await?;
+        let last_time_ns = core.last_time_ns();
+        if let Some((epoch, done)) = core.position() {
+            // Sources may wait for what this service did last before it was killed, and could not say.
+            progress.set(epoch, done, last_time_ns.unwrap_or(i64::MIN));
+        }
         let service = Self {
+            structure: structure.clone(),
+            bus: bus.clone(),
+            trouble: Trouble::default(),
             pool,
             frames,
             estimates,
@@ -107,7 +139,7 @@ impl IdentifyService {
             classes,
             events: bus.publish_display(keys.event()).await?,
             _description: description,
-            progress: bus.publish_progress(keys.progress(Service::Identify), id.to_string()).await?,
+            progress,
             status: bus.publish_display(keys.status(Service::Identify, &id)).await?,
             token: Some(bus.announce(keys.live(Service::Identify, &id)).await?),
             core: Some(core),
@@ -115,8 +147,9 @@ impl IdentifyService {
                 .map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })?,
             keys,
             id,
-            last_time_ns: None,
-            epoch: 0,
+            last_time_ns,
+            epoch,
+            memory,
         };
         info!(
             structure = service.keys.structure().as_str(),
@@ -135,8 +168,8 @@ impl IdentifyService {
     pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), IdentifyError> {
         tokio::pin!(stop);
         let mut status = tokio::time::interval(STATUS_EVERY);
-        let deliveries = self.frames.deliveries().clone();
         loop {
+            let deliveries = self.frames.deliveries().clone();
             // Not biased: at full speed frames never stop, and status and stop must still get their turn.
             tokio::select! {
                 delivery = deliveries.recv_async() => match delivery {
@@ -148,8 +181,13 @@ impl IdentifyService {
             }
         }
         // Ingest has stopped before: what it put last may still be on its way through the reader.
-        while let Ok(Ok(delivery)) = tokio::time::timeout(LAST_FRAMES, deliveries.recv_async()).await {
+        loop {
+            let deliveries = self.frames.deliveries().clone();
+            let Ok(Ok(delivery)) = tokio::time::timeout(LAST_FRAMES, deliveries.recv_async()).await else { break };
             self.take(delivery).await?;
+        }
+        if let (Some(memory), Some(core)) = (self.memory.take(), &self.core) {
+            memory.close(core).await;
         }
         if let Some(token) = self.token.take() {
             token.withdraw().await?;
@@ -168,24 +206,68 @@ impl IdentifyService {
             }
             Delivery::Gap(gap) => Input::Gap { from: gap.from, to: gap.to },
         };
-        let Some(mut core) = self.core.take() else {
-            return Err(IdentifyError::ThreadLost { structure: self.keys.structure().to_string() });
-        };
-        let work = self.pool.run(move || {
-            let mut outputs = Vec::new();
-            core.handle(input, &mut outputs);
-            (core, outputs)
-        });
-        let Some((core, outputs)) = work.await else {
-            return Err(IdentifyError::ThreadLost { structure: self.keys.structure().to_string() });
-        };
-        let done = core.done();
-        self.core = Some(core);
-        for output in outputs {
-            self.put(output).await?;
+        for input in self.trouble.cut(input) {
+            let (from, to) = match &input {
+                Input::Frames(block) => (block.header.sequence, block.end()),
+                Input::Gap { from, to } => (*from, *to),
+            };
+            let Some(mut core) = self.core.take() else {
+                return Err(IdentifyError::ThreadLost { structure: self.keys.structure().to_string() });
+            };
+            let work = self.pool.run(move || {
+                let mut outputs = Vec::new();
+                core.handle(input, &mut outputs);
+                (core, outputs)
+            });
+            let Some((core, outputs)) = work.await else {
+                return self.revive(from, to).await; // what follows comes again
+            };
+            self.core = Some(core);
+            for output in outputs {
+                self.put(output).await?;
+            }
         }
+        let done = self.core.as_ref().map_or(0, Identification::done);
         self.progress.set(self.epoch, done, self.last_time_ns.unwrap_or(i64::MIN));
+        if let (Some(memory), Some(core)) = (&mut self.memory, &self.core) {
+            memory.keep_if_due(core).await;
+        }
         Ok(())
+    }
+
+    /// The identification has panicked in frames `from` to before `to`: goes back to its last checkpoint, and over the same frames
+    /// again. All other structures are not touched.
+    async fn revive(&mut self, from: u64, to: u64) -> Result<(), IdentifyError> {
+        let set_aside = self.trouble.died(self.epoch, from, to);
+        if self.trouble.deaths() > MOST_DEATHS {
+            return Err(IdentifyError::ThreadLost { structure: self.keys.structure().to_string() });
+        }
+        let new = || Identification::new(&self.structure, self.id.as_str());
+        let mut core = match &mut self.memory {
+            Some(memory) => memory.recall_last(new).await?,
+            None => new()?,
+        };
+        if core.position().is_some_and(|(epoch, _)| epoch != self.epoch) {
+            core = new()?; // the estimates of an epoch that is over are not put again
+        }
+        let first = core.done();
+        self.estimates.take_back(first);
+        self.frames = follow_frames(&self.structure, &self.bus, &self.keys, start_of(&core)).await?;
+        self.last_time_ns = core.last_time_ns();
+        self.core = Some(core);
+        let what = match set_aside {
+            Some(frame) => format!("frame {frame} is set aside: it counts as missing"),
+            None => format!("identification goes on from frame {first}"),
+        };
+        let event = Event {
+            structure: self.keys.structure().clone(),
+            time_ns: self.last_time_ns.unwrap_or(0),
+            kind: EventKind::Restart,
+            subject: "identify".to_owned(),
+            what,
+            why: format!("it has panicked in frames {from} to {}", to.saturating_sub(1)),
+        };
+        self.put(Output::Event(event)).await
     }
 
     async fn put(&mut self, output: Output) -> Result<(), IdentifyError> {
@@ -230,19 +312,48 @@ impl IdentifyService {
         let now = SystemTime::now();
         let now_ns = now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64);
         let core = self.core.as_ref();
+        let mut drops = self.frames.counts().drops();
+        if self.trouble.set_aside() > 0 {
+            drops.insert("frames-set-aside".to_owned(), self.trouble.set_aside());
+        }
         let status = Status {
             structure: self.keys.structure().clone(),
             service: self.service.clone(),
             id: self.id.clone(),
             time_ns: now_ns,
             lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
+            pace: None,
             done: core.map_or(0, Identification::done),
-            drops: self.frames.counts().drops(),
-            restarts: core.map_or(0, Identification::restarts),
+            drops,
+            restarts: core.map_or(0, Identification::restarts) + self.trouble.deaths(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
         Ok(self.status.put(&status).await?)
     }
+}
+
+/// Where an identification wants its frames from.
+fn start_of(core: &Identification) -> Start {
+    match core.position() {
+        Some((epoch, sequence)) => Start::At { epoch, sequence },
+        None => Start::Beginning,
+    }
+}
+
+/// Reads the frames of a structure; others are refused.
+async fn follow_frames(
+    structure: &Structure,
+    bus: &Bus,
+    keys: &Keys,
+    start: Start,
+) -> Result<Stream<FrameBlock>, BusError> {
+    let (channels, rate_hz) = (structure.channel_count(), structure.sampling_rate_hz());
+    let is_of_structure =
+        move |block: &FrameBlock| match usize::from(block.channels) == channels && block.sampling_rate_hz == rate_hz {
+            true => Ok(()),
+            false => Err("frames-of-another-structure"),
+        };
+    bus.follow_fit(keys.frames(), keys.recording(), bus.reading(start), is_of_structure).await
 }
 
 /// Puts a message for people; one that holds no numbers is told of and left out, the service goes on.
@@ -270,9 +381,13 @@ pub fn log_event(event: &Event, start_ns: Option<i64>) {
         EventKind::Restart
         | EventKind::Unidentified
         | EventKind::NodeExcluded
+        | EventKind::NodeSilent
         | EventKind::ChannelExcluded
         | EventKind::Gap => {
             warn!(structure, subject, time_s, time_ns, what = event.what, why = event.why, "event");
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

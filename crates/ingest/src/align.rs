@@ -6,7 +6,7 @@
 //! not depend on the order in which blocks of different nodes arrive, nor on how the samples are cut into blocks, as long
 //! as no lateness is over.
 
-use spandrel_bus::{FrameBlock, Header, SampleBlock, StreamState, TimeGrid};
+use spandrel_bus::{Block, FrameBlock, Header, SampleBlock, StreamState, TimeGrid};
 
 use crate::counts::Counts;
 use crate::layout::Layout;
@@ -33,11 +33,27 @@ pub enum Input {
         /// The node.
         node: usize,
     },
+    /// A node that was lost is expected again: only the link to it was down.
+    Back {
+        /// The node.
+        node: usize,
+    },
     /// Lateness is over for frames up to this time: they no longer wait for anybody.
     Deadline {
         /// Measurement time, ns since the Unix epoch.
         time_ns: i64,
     },
+}
+
+/// Where the stream of a node stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NodePlace {
+    /// Epoch of its stream, 0 before the first sample.
+    pub epoch: u64,
+    /// Number of the first sample that has not gone into a frame.
+    pub sequence: u64,
+    /// Whether it has said that this was all.
+    pub ended: bool,
 }
 
 /// The alignment of one structure.
@@ -78,6 +94,33 @@ impl Alignment {
         }
     }
 
+    /// Goes on where an earlier life of this alignment was: after `last`, which it closed last, with each node at the sample
+    /// that had not gone into a frame by then (`nodes`, in the order of the layout).
+    #[must_use]
+    pub fn going_on(mut self, last: &FrameBlock, nodes: &[NodePlace]) -> Self {
+        let grid = TimeGrid::new(last.t0_ns, last.sampling_rate_hz);
+        self.epoch = last.header.epoch;
+        self.run = grid.map(|grid| Run { grid, next: last.end(), open: Vec::new() });
+        self.ended = last.state == StreamState::Ended;
+        for (queue, place) in self.queues.iter_mut().zip(nodes) {
+            let presence = if place.ended { Presence::Ended } else { Presence::Expected };
+            queue.go_on((place.epoch, place.sequence), presence);
+        }
+        self
+    }
+
+    /// Where each node stands: the first of its samples that has not gone into a frame.
+    #[must_use]
+    pub fn places(&self) -> Vec<NodePlace> {
+        let place = |queue: &NodeQueue| {
+            let (epoch, sequence) = queue.position();
+            // One that has ended with samples that wait will deliver them again, and its end with them.
+            let ended = queue.presence == Presence::Ended && queue.first_ns().is_none();
+            NodePlace { epoch, sequence, ended }
+        };
+        self.queues.iter().map(place).collect()
+    }
+
     /// What did not become part of a frame so far.
     #[must_use]
     pub fn counts(&self) -> &Counts {
@@ -92,6 +135,11 @@ impl Alignment {
             Input::Lost { node } => {
                 if let Some(queue) = self.queues.get_mut(node).filter(|queue| queue.presence == Presence::Expected) {
                     queue.presence = Presence::Lost;
+                }
+            }
+            Input::Back { node } => {
+                if let Some(queue) = self.queues.get_mut(node).filter(|queue| queue.presence == Presence::Lost) {
+                    queue.presence = Presence::Expected;
                 }
             }
             Input::Deadline { time_ns } => self.deadline_ns = self.deadline_ns.max(time_ns),

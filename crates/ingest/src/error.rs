@@ -1,6 +1,7 @@
 //! What can keep ingest from starting, or end it.
 
 use spandrel_bus::{BusError, NameError};
+use spandrel_record::RecordError;
 
 use crate::layout::LayoutError;
 
@@ -18,6 +19,9 @@ pub enum IngestError {
     /// A name is no chunk of a key expression.
     #[error("name is no key")]
     Name(#[from] NameError),
+    /// The recording cannot be opened or ended.
+    #[error(transparent)]
+    Record(#[from] RecordError),
     /// The bus refused a declaration or is closed.
     #[error(transparent)]
     Bus(#[from] BusError),

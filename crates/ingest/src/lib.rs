@@ -40,11 +40,13 @@ mod align;
 mod lateness;
 
 mod error;
+mod recorder;
 mod shell;
 
-pub use align::{Alignment, Input};
+pub use align::{Alignment, Input, NodePlace};
 pub use counts::Counts;
 pub use error::IngestError;
 pub use lateness::Lateness;
 pub use layout::{Layout, LayoutError, NodeLayout};
+pub use recorder::RecordingSettings;
 pub use shell::{FRAMES_KEPT, IngestService, IngestSettings, Waiting};

@@ -27,7 +27,11 @@ pub(crate) enum Presence {
 pub(crate) struct NodeQueue {
     ranges: Vec<f64>,
     times_ns: VecDeque<i64>,
+    /// Epoch and number of each sample that waits in the stream of the node.
+    numbers: VecDeque<(u64, u64)>,
     values: VecDeque<f64>,
+    /// Epoch and number of the sample that comes next.
+    next: (u64, u64),
     pub(crate) presence: Presence,
     /// Time of the newest sample of the node, usable or not, ns: frames before it need not wait.
     pub(crate) newest_ns: Option<i64>,
@@ -42,7 +46,9 @@ impl NodeQueue {
         Self {
             ranges,
             times_ns: VecDeque::new(),
+            numbers: VecDeque::new(),
             values: VecDeque::new(),
+            next: (0, 0),
             presence: Presence::Expected,
             newest_ns: None,
             epoch: None,
@@ -62,6 +68,18 @@ impl NodeQueue {
     /// Time of the last sample that waits, ns.
     pub(crate) fn last_waiting_ns(&self) -> Option<i64> {
         self.times_ns.back().copied()
+    }
+
+    /// Epoch and number of the first sample that has not gone into a frame.
+    pub(crate) fn position(&self) -> (u64, u64) {
+        self.numbers.front().copied().unwrap_or(self.next)
+    }
+
+    /// Goes on where the node stood in an earlier life of the alignment.
+    pub(crate) fn go_on(&mut self, (epoch, sequence): (u64, u64), presence: Presence) {
+        self.epoch = Some(epoch);
+        self.next = (epoch, sequence);
+        self.presence = presence;
     }
 
     pub(crate) fn is_parked(&self) -> bool {
@@ -97,6 +115,7 @@ impl NodeQueue {
             // The clock of the node has gone back: what was ahead of it was wrong.
             while self.times_ns.back().is_some_and(|last| *last >= time_ns) {
                 self.times_ns.pop_back();
+                self.numbers.pop_back();
                 self.values.truncate(self.values.len() - self.channels());
                 counts.retracted += 1;
             }
@@ -106,9 +125,11 @@ impl NodeQueue {
                 continue;
             }
             self.times_ns.push_back(time_ns);
+            self.numbers.push_back((block.header.epoch, block.header.sequence + number));
             let checked = sample.iter().zip(&self.ranges).map(|(value, range)| checked(*value, *range, counts));
             self.values.extend(checked);
         }
+        self.next = (block.header.epoch, block.end());
         self.presence = match block.state {
             StreamState::Running => Presence::Expected,
             StreamState::Ended => Presence::Ended,
@@ -118,6 +139,7 @@ impl NodeQueue {
     /// Moves the first sample into its place in a frame.
     pub(crate) fn pop_into(&mut self, frame: &mut [f64]) {
         self.times_ns.pop_front();
+        self.numbers.pop_front();
         for (place, value) in frame.iter_mut().zip(self.values.drain(..self.ranges.len())) {
             *place = value;
         }
@@ -126,6 +148,7 @@ impl NodeQueue {
     /// Drops the first sample.
     pub(crate) fn pop(&mut self) {
         self.times_ns.pop_front();
+        self.numbers.pop_front();
         self.values.drain(..self.ranges.len());
     }
 }

@@ -2,24 +2,29 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
+use std::sync::Arc;
 use std::time::Duration;
 
 use spandrel_bus::{
-    Bus, Delivery, DisplayPublisher, FrameBlock, Keys, LiveToken, LiveWatch, Name, NumberedPublisher, NumberedStream,
-    Pace, ProgressPublisher, SampleBlock, Service, Start, Status, Stream, StreamState,
+    Block, Bus, Delivery, DisplayPublisher, FrameBlock, Keys, LiveToken, LiveWatch, Name, NumberedPublisher,
+    NumberedStream, Older, Pace, ProgressPublisher, SampleBlock, Service, Start, Status, Stream, StreamState,
 };
 use spandrel_structure::Structure;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::{info, warn};
 
-use crate::align::{Alignment, Input};
+use crate::align::{Alignment, Input, NodePlace};
 use crate::error::IngestError;
 use crate::lateness::Lateness;
 use crate::layout::Layout;
+use crate::recorder::{Past, Recorder, RecordingSettings};
 
-/// Frames kept for readers that missed some; larger than the window that a replay keeps.
+/// Frames for readers that missed some, or begin to read; larger than the window that a replay keeps. Without a recording they
+/// are in memory.
 pub const FRAMES_KEPT: u64 = 131_072;
+/// Frames in memory where there is a recording: what comes out of it is slower.
+const FRAMES_IN_MEMORY: u64 = 8_192;
 
 /// How often the status is put.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
@@ -27,6 +32,8 @@ const STATUS_EVERY: Duration = Duration::from_secs(1);
 const DEADLINE_EVERY: Duration = Duration::from_millis(50);
 /// A node without token is lost when nothing of it has arrived for this long: its last blocks may still be on their way.
 const GRACE: Duration = Duration::from_secs(2);
+/// The same where the tokens of all nodes are gone: that is a link that is down, and they come back one by one.
+const GRACE_OF_ALL: Duration = Duration::from_secs(12);
 /// How long a frame waits for late samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Waiting {
@@ -45,6 +52,8 @@ pub struct IngestSettings {
     pub epoch: u64,
     /// How long frames wait.
     pub waiting: Waiting,
+    /// Where frames are recorded; none: nowhere, and a new start begins a new epoch.
+    pub recording: Option<RecordingSettings>,
 }
 
 /// What is known of the token of a node.
@@ -68,6 +77,10 @@ pub struct IngestService {
     nodes: Vec<Stream<SampleBlock>>,
     last_heard: Vec<Duration>,
     signs: Vec<Sign>,
+    /// Until when no node is lost, because the tokens of all were gone at once.
+    patient_until: Duration,
+    /// Whether they are.
+    all_gone: bool,
     /// Nodes whose last block was their end.
     ended: Vec<bool>,
     tokens: LiveWatch,
@@ -79,10 +92,13 @@ pub struct IngestService {
     service: Name,
     /// That of the last block: the nodes of a structure are either all live or all replayed.
     pace: Pace,
+    /// The same, for the status: none before the first block.
+    pace_heard: Option<Pace>,
     done: u64,
     last_time_ns: Option<i64>,
     /// Blocks of all nodes that wait for the alignment; when it is full, the readers of the nodes wait.
     blocks_waiting: usize,
+    recorder: Option<Recorder>,
     token: LiveToken,
 }
 
@@ -99,31 +115,68 @@ impl IngestService {
     ) -> Result<Self, IngestError> {
         let layout = Layout::of(structure)
             .map_err(|source| IngestError::Layout { structure: structure.name().to_owned(), source })?;
-        Self::start_with(layout, bus, keys, settings).await
+        let channels = structure.channels().map(|channel| channel.name().to_owned()).collect();
+        Self::start_with(layout, channels, bus, keys, settings).await
     }
 
-    /// As [`IngestService::start`], for a layout that does not come from a structure file.
+    /// As [`IngestService::start`], for a layout that does not come from a structure file; `channels` names its channels in
+    /// their order.
     ///
     /// # Errors
-    /// The bus refuses a declaration.
+    /// The recording cannot be opened, or the bus refuses a declaration.
     pub async fn start_with(
         layout: Layout,
+        channels: Vec<String>,
         bus: &Bus,
         keys: Keys,
         settings: IngestSettings,
     ) -> Result<Self, IngestError> {
-        let IngestSettings { id, epoch, waiting } = settings;
-        let frames = bus.publish_numbered(NumberedStream {
+        let IngestSettings { id, epoch, waiting, recording } = settings;
+        let (recorder, past) = match &recording {
+            Some(recording) => {
+                let structure = keys.structure().as_str();
+                let opened = tokio::task::block_in_place(|| Recorder::open(structure, &layout, channels, recording))?;
+                (Some(opened.0), opened.1)
+            }
+            None => (None, None),
+        };
+        // Were frames heard of that are not recorded, their numbers must not come again with other samples.
+        let epoch = past.as_ref().map_or(epoch, |past| epoch.max(past.last.header.epoch + 1));
+        let past = past.filter(|past| past.is_whole);
+        let mut stream = NumberedStream {
             key: keys.frames(),
             buffer_key: keys.recording(),
             source: id.to_string(),
             epoch,
-            capacity: FRAMES_KEPT,
-        });
-        let frames = frames.await?;
+            first: 0,
+            state: StreamState::Running,
+            capacity: if recorder.is_some() { FRAMES_IN_MEMORY } else { FRAMES_KEPT },
+            forget: None,
+        };
+        let mut core = Alignment::new(layout.clone(), id.to_string(), epoch);
+        let mut places: Vec<NodePlace> = Vec::new();
+        let progress = bus.publish_progress(keys.progress(Service::Ingest), id.to_string()).await?;
+        let (mut done, mut last_time_ns) = (0, None);
+        if let Some(Past { last, nodes, .. }) = past {
+            info!(structure = keys.structure().as_str(), frame = last.end(), "goes on where its recording ended");
+            (stream.epoch, stream.first, stream.state) = (last.header.epoch, last.end(), last.state);
+            core = core.going_on(&last, &nodes);
+            places = nodes;
+            done = last.end();
+            last_time_ns = last.grid().zip(done.checked_sub(1)).map(|(grid, number)| grid.time_ns(number));
+            // Sources may wait for what this service did last before it was killed, and could not say.
+            progress.set(stream.epoch, done, last_time_ns.unwrap_or(i64::MIN));
+        }
+        let older =
+            recorder.as_ref().map(|recorder| Older { archive: Arc::new(recorder.archive()), recent: FRAMES_KEPT });
+        let frames = bus.publish_archived(stream, older).await?;
         let mut nodes = Vec::new();
-        for node in layout.nodes() {
-            let settings = bus.reading(Start::Beginning);
+        for (position, node) in layout.nodes().iter().enumerate() {
+            let start = match places.get(position) {
+                Some(place) => Start::At { epoch: place.epoch, sequence: place.sequence },
+                None => Start::Beginning,
+            };
+            let settings = bus.reading(start);
             let source = node.name.to_string();
             let is_of_node = move |block: &SampleBlock| match block.header.source == source {
                 true => Ok(()),
@@ -132,7 +185,7 @@ impl IngestService {
             nodes.push(bus.follow_fit(keys.samples(&node.name), keys.buffer(&node.name), settings, is_of_node).await?);
         }
         let service = Self {
-            core: Alignment::new(layout.clone(), id.to_string(), epoch),
+            core,
             lateness: match waiting {
                 Waiting::Unlimited => None,
                 Waiting::Limited(allowed) => Some(Lateness::new(allowed, nodes.len())),
@@ -140,16 +193,20 @@ impl IngestService {
             started: Instant::now(),
             last_heard: vec![Duration::ZERO; nodes.len()],
             signs: vec![Sign::Present; nodes.len()],
-            ended: vec![false; nodes.len()],
+            patient_until: Duration::ZERO,
+            all_gone: false,
+            ended: (0..nodes.len()).map(|node| places.get(node).is_some_and(|place| place.ended)).collect(),
             tokens: bus.watch_live(keys.all_live(Service::Sensor)).await?,
             frames,
-            progress: bus.publish_progress(keys.progress(Service::Ingest), id.to_string()).await?,
+            progress,
             status: bus.publish_display(keys.status(Service::Ingest, &id)).await?,
             service: Name::new(Service::Ingest.as_str())?,
             pace: Pace::Live,
-            done: 0,
-            last_time_ns: None,
+            pace_heard: None,
+            done,
+            last_time_ns,
             blocks_waiting: bus.reading(Start::Beginning).deliveries,
+            recorder,
             // Last, because sources start when they see it: the readers above are there by then.
             token: bus.announce(keys.live(Service::Ingest, &id)).await?,
             layout,
@@ -194,7 +251,12 @@ impl IngestService {
                     self.compare_tokens(&known_tokens, &tokens);
                     known_tokens = tokens;
                 }
-                _ = deadline.tick() => self.look_at_the_clock().await?,
+                _ = deadline.tick() => {
+                    self.look_at_the_clock().await?;
+                    if let Some(recorder) = &mut self.recorder {
+                        recorder.tend().await;
+                    }
+                }
                 _ = status.tick() => self.put_status().await?,
                 () = &mut stop => break,
             }
@@ -204,14 +266,17 @@ impl IngestService {
         }
         info!(structure = self.keys.structure().as_str(), frames = self.core.counts().frames, "ingest stopped");
         self.token.withdraw().await?;
-        Ok(())
+        match self.recorder {
+            Some(recorder) => recorder.close().await,
+            None => Ok(()),
+        }
     }
 
     async fn take(&mut self, node: usize, delivery: Delivery<SampleBlock>) -> Result<(), IngestError> {
         let Delivery::Block(block) = delivery else {
             return Ok(()); // logged and counted by the stream; to the alignment it is a gap in time
         };
-        self.pace = block.pace;
+        (self.pace, self.pace_heard) = (block.pace, Some(block.pace));
         self.ended[node] = block.state == StreamState::Ended;
         let elapsed = self.started.elapsed();
         self.last_heard[node] = elapsed;
@@ -230,6 +295,10 @@ impl IngestService {
     async fn handle(&mut self, input: Input) -> Result<(), IngestError> {
         let mut blocks = Vec::new();
         self.core.handle(input, &mut blocks);
+        if let Some(recorder) = self.recorder.as_mut().filter(|_| !blocks.is_empty()) {
+            let places = self.core.places();
+            tokio::task::block_in_place(|| recorder.write(&blocks, &places));
+        }
         for block in blocks {
             let epoch = block.header.epoch;
             if let Some((number, _)) = block.iter().last() {
@@ -254,14 +323,34 @@ impl IngestService {
         }
     }
 
+    /// Tells a link that is down from nodes that are gone: all tokens vanish at once then. Whoever was lost meanwhile is expected
+    /// again once the first one is back.
+    async fn compare_with_an_outage(&mut self, elapsed: Duration) -> Result<(), IngestError> {
+        let known = || (0..self.nodes.len()).filter(|node| !self.ended[*node] && !self.last_heard[*node].is_zero());
+        let all_gone = known().next().is_some() && known().all(|node| self.signs[node] != Sign::Present);
+        if all_gone != self.all_gone {
+            self.all_gone = all_gone;
+            self.patient_until = elapsed + GRACE_OF_ALL;
+            for node in 0..self.nodes.len() {
+                if !all_gone && self.signs[node] == Sign::Lost {
+                    self.signs[node] = Sign::Gone;
+                    self.handle(Input::Back { node }).await?;
+                }
+            }
+        }
+        Ok(())
+    }
+
     async fn look_at_the_clock(&mut self) -> Result<(), IngestError> {
         let elapsed = self.started.elapsed();
+        let silent = |heard: &Duration| elapsed.saturating_sub(*heard) >= GRACE;
+        self.compare_with_an_outage(elapsed).await?;
         for node in 0..self.nodes.len() {
             if self.ended[node] {
                 continue; // it has said goodbye
             }
-            let silent = elapsed.saturating_sub(self.last_heard[node]) >= GRACE;
-            if self.signs[node] == Sign::Gone && silent {
+            let is_over = silent(&self.last_heard[node]) && elapsed >= self.patient_until;
+            if self.signs[node] == Sign::Gone && is_over {
                 self.signs[node] = Sign::Lost;
                 let structure = self.keys.structure().as_str();
                 let name = self.layout.nodes()[node].name.as_str();
@@ -290,12 +379,14 @@ impl IngestService {
                 *drops.entry(reason).or_default() += count;
             }
         }
+        drops.extend(self.recorder.iter().flat_map(Recorder::drops));
         let status = Status {
             structure: self.keys.structure().clone(),
             service: self.service.clone(),
             id: self.id.clone(),
             time_ns: now_ns,
             lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 * 1e-9),
+            pace: self.pace_heard,
             done: self.done,
             drops,
             restarts: 0,

@@ -42,8 +42,8 @@ async fn start_ingest(bus: &Bus, waiting: Waiting) -> tokio::task::JoinHandle<()
 async fn start_ingest_of(bus: &Bus, nodes: &[&str], waiting: Waiting) -> tokio::task::JoinHandle<()> {
     let nodes = nodes.iter().map(|node| NodeLayout { name: name(node), ranges: vec![1e9] });
     let layout = Layout::new(nodes.collect(), 200.0, 0.0025).unwrap();
-    let settings = IngestSettings { id: name("ingest-1"), epoch: 1, waiting };
-    let service = IngestService::start_with(layout, bus, keys(), settings).await.unwrap();
+    let settings = IngestSettings { id: name("ingest-1"), epoch: 1, waiting, recording: None };
+    let service = IngestService::start_with(layout, Vec::new(), bus, keys(), settings).await.unwrap();
     tokio::spawn(async move { service.run(pending()).await.unwrap() })
 }
 
@@ -53,7 +53,10 @@ async fn node(bus: &Bus, text: &str) -> NumberedPublisher<SampleBlock> {
         buffer_key: keys().buffer(&name(text)),
         source: text.into(),
         epoch: 1,
+        first: 0,
+        state: StreamState::Running,
         capacity: 100_000,
+        forget: None,
     };
     bus.publish_numbered(stream).await.unwrap()
 }

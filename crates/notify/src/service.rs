@@ -189,6 +189,7 @@ impl NotifyService {
                 id: self.id.clone(),
                 time_ns,
                 lag_s: None,
+                pace: None,
                 done: source.taken,
                 drops,
                 restarts: 0,

@@ -131,15 +131,20 @@ impl ChannelColumn {
 
     /// Factor from the numbers of a recorded channel to SI, by the unit that the recording states, if that counts.
     pub(crate) fn si_from_file(&self, recorded: &RecordedChannel) -> Result<f64, RecordError> {
-        match (self.file_unit, recorded.quantity(), recorded.unit()) {
-            (Some(quantity), Some((found, _)), Some(unit)) if found != quantity => Err(RecordError::Unit {
+        self.si_from_stated(recorded.unit().unwrap_or_default())
+    }
+
+    /// As [`Self::si_from_file`], of a unit as a file writes it; 1 if it is no unit that is known.
+    pub(crate) fn si_from_stated(&self, unit: &str) -> Result<f64, RecordError> {
+        match (self.file_unit, Quantity::of_unit(unit)) {
+            (Some(quantity), Some((found, _))) if found != quantity => Err(RecordError::Unit {
                 channel: self.channel.clone(),
                 found: unit.to_owned(),
                 quantity: quantity.name(),
                 allowed: quantity.allowed_units(),
             }),
-            (Some(_), Some((_, si_from_unit)), _) => Ok(si_from_unit),
-            (Some(_) | None, _, _) => Ok(1.0),
+            (Some(_), Some((_, si_from_unit))) => Ok(si_from_unit),
+            (Some(_) | None, _) => Ok(1.0),
         }
     }
 

@@ -11,6 +11,7 @@ use csv::{ByteRecord, ReaderBuilder, Terminator};
 
 use crate::{
     ChannelColumn, ColumnMapping, RecordError, RecordReader, Row, TimeSource, TimeUnit,
+    formats::table::unit_of,
     record_time::{TimeForm, seconds_text},
     table_layout::{HEAD_BYTES, Separator, SingleBlanks, TableLayout},
 };
@@ -33,7 +34,7 @@ pub struct CsvReader {
     time_form: Option<TimeForm>,
     previous_time_ns: Option<i64>,
     channels: Vec<String>,
-    columns: Vec<(usize, ChannelColumn)>,
+    columns: Vec<MappedColumn>,
     values: Vec<f64>,
 }
 
@@ -187,18 +188,26 @@ impl RecordReader for CsvReader {
             });
         }
         let time_ns = self.parse_time(line)?;
-        for (value, (index, column)) in self.values.iter_mut().zip(&self.columns) {
-            let text = field_text(&self.record, *index, self.layout.has_decimal_comma);
+        for (value, mapped) in self.values.iter_mut().zip(&self.columns) {
+            let text = field_text(&self.record, mapped.index, self.layout.has_decimal_comma);
             let text = text.as_deref();
-            *value = text.and_then(|text| parse_sample(text, column)).ok_or_else(|| RecordError::BadNumber {
+            *value = text.and_then(|text| parse_sample(text, mapped)).ok_or_else(|| RecordError::BadNumber {
                 path: self.path.clone(),
                 line,
-                column: column.column().to_owned(),
+                column: mapped.column.column().to_owned(),
                 found: text_for_error(text),
             })?;
         }
         Ok(Some(Row { time_ns, values: &self.values }))
     }
+}
+
+/// Where a channel stands in a row, and the way from its number to SI.
+struct MappedColumn {
+    index: usize,
+    /// by the unit in brackets behind the name of the column, where that counts
+    si_from_file: f64,
+    column: ChannelColumn,
 }
 
 /// Ends the last line of files that do not; line numbers rely on it.
@@ -212,7 +221,7 @@ fn locate_columns(
     line: u64,
     header: &[String],
     mapping: &ColumnMapping,
-) -> Result<(RowTime, Vec<(usize, ChannelColumn)>), RecordError> {
+) -> Result<(RowTime, Vec<MappedColumn>), RecordError> {
     let time_column = match mapping.time() {
         TimeSource::Column { name, .. } => Some(name.as_str()),
         TimeSource::Counted { .. } => None,
@@ -238,11 +247,15 @@ fn locate_columns(
         TimeSource::Column { unit, .. } => RowTime::Column { index: indices.next().unwrap_or(0), unit: *unit },
         TimeSource::Counted { rate_hz } => RowTime::Counted { rate_hz: *rate_hz, rows: 0 },
     };
-    Ok((time, indices.zip(mapping.channels().iter().cloned()).collect()))
+    let channel = |(index, column): (usize, &ChannelColumn)| {
+        let si_from_file = column.si_from_stated(unit_of(&header[index]))?;
+        Ok(MappedColumn { index, si_from_file, column: column.clone() })
+    };
+    Ok((time, indices.zip(mapping.channels()).map(channel).collect::<Result<_, RecordError>>()?))
 }
 
 /// Reads a sample in SI; `NaN` if it is missing, `None` if it is no finite number.
-fn parse_sample(text: &str, column: &ChannelColumn) -> Option<f64> {
+fn parse_sample(text: &str, mapped: &MappedColumn) -> Option<f64> {
     if text.is_empty() {
         return Some(f64::NAN);
     }
@@ -250,7 +263,7 @@ fn parse_sample(text: &str, column: &ChannelColumn) -> Option<f64> {
     if number.is_nan() {
         return Some(f64::NAN);
     }
-    Some(column.si_from_number(number)).filter(|value| value.is_finite())
+    Some(mapped.column.si_from_number(number * mapped.si_from_file)).filter(|value| value.is_finite())
 }
 
 /// A field without white space around it, decimal commas as points; `None` if it is no UTF-8.

@@ -144,6 +144,47 @@ pub enum RecordError {
         /// What the writer said.
         source: Box<mcap::McapError>,
     },
+    /// Something else has the folder of a frame log open.
+    #[error("{}: the frame log is in use, must be opened by one at a time; stop the other, or give another folder", folder.display())]
+    LogInUse {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// The folder of a frame log holds frames of something else.
+    #[error(
+        "{}: the frame log is of another layout: {what} is `{found}`, must be `{expected}`; move the folder away, or give another",
+        folder.display()
+    )]
+    OtherLog {
+        /// The folder.
+        folder: PathBuf,
+        /// What differs.
+        what: &'static str,
+        /// What the folder has.
+        found: String,
+        /// What was asked for.
+        expected: String,
+    },
+    /// Frames cannot be put into the log.
+    #[error("frames of `{structure}` cannot be logged: {what} is {found}, must be {allowed}")]
+    NotLoggable {
+        /// The structure.
+        structure: String,
+        /// What of them.
+        what: &'static str,
+        /// What was found.
+        found: String,
+        /// What is allowed.
+        allowed: String,
+    },
+    /// A file or folder of the frame log could not be written.
+    #[error("{}: cannot be written", path.display())]
+    WriteLog {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
     /// Reading failed below the level of records: input/output.
     #[error("{}:{line}: cannot be read", path.display())]
     Read {

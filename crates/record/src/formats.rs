@@ -3,6 +3,7 @@
 pub(crate) mod at2;
 pub(crate) mod cosmos;
 pub(crate) mod csmip;
+pub(crate) mod frames;
 pub(crate) mod matlab;
 pub(crate) mod mcap;
 pub(crate) mod mini_seed;

@@ -30,6 +30,7 @@
 //! - [`recording`]: a file of any format with its sampling rate, and its offsets removed
 //! - [`spectrum`], [`recording_summary`]: what a recording holds
 //! - [`csv_writer`], [`mcap_writer`], [`record_writer`], [`estimate_writer`], [`convert`]: what is written
+//! - [`frame_log`]: frames as they are made, on disk before anybody uses them
 //!
 //! Samples are neither resampled nor filtered unless that is asked for, and never interpolated: which sample belongs to which frame is the
 //! work of alignment, not of reading.
@@ -44,6 +45,7 @@ pub mod estimate_writer;
 pub mod fault;
 pub mod format;
 mod formats;
+pub mod frame_log;
 pub mod mcap_writer;
 pub mod quantity;
 mod rate;
@@ -68,12 +70,15 @@ pub use error::RecordError;
 pub use estimate_writer::EstimateWriter;
 pub use fault::Fault;
 pub use format::Format;
+pub use frame_log::{
+    FrameLog, FrameLogReader, LogLayout, LogSettings, LogSpan, LogSyncer, LoggedFrames, NodePosition, OpenedLog,
+};
 pub use mcap_writer::{McapChannel, McapWriter};
 pub use quantity::Quantity;
 pub use record_reader::{RecordReader, Row};
 pub use record_writer::RecordWriter;
 pub use recorded::{Gap, RecordedChannel, Segment, TimeOrigin};
-pub use recorded_file::{ReadOptions, RecordedFile, TableUnits};
+pub use recorded_file::{ReadOptions, RecordedFile};
 pub use recorded_rows::RecordedRows;
 pub use recording::{OffsetRemoval, Recording, Resampling};
 pub use recording_summary::{ChannelSummary, GapSummary, PeakSummary, RecordingSummary, Statistics};

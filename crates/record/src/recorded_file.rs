@@ -6,7 +6,9 @@ use std::io::{Cursor, Read};
 use std::path::{Path, PathBuf};
 
 use crate::fault::Fault;
+use crate::formats::frames::FrameRows;
 use crate::formats::{at2, cosmos, csmip, matlab, mcap, mini_seed, smc, table, tdms, uff58};
+use crate::frame_log;
 use crate::table_layout::HEAD_BYTES;
 use crate::unpacked::UnpackingBudget;
 use crate::{ColumnMapping, Format, RecordError, RecordedChannel, TimeUnit};
@@ -20,18 +22,6 @@ pub struct ReadOptions {
     pub time_unit: Option<TimeUnit>,
     /// Sampling rate in Hz of channels for which the file states none.
     pub sampling_rate_hz: Option<f64>,
-    /// Whether names of columns in a table tell their units.
-    pub table_units: TableUnits,
-}
-
-/// Where the units of a table stand.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum TableUnits {
-    /// In brackets behind the name of the column: `roof [g]`.
-    #[default]
-    InBrackets,
-    /// Nowhere: what is in brackets is part of the name.
-    Unstated,
 }
 
 /// A recording as it stands in a file, whole and in memory.
@@ -65,6 +55,7 @@ impl RecordedFile {
             return Err(RecordError::DeclaredRate { found_hz });
         }
         let contents = match path.is_dir() {
+            true if has_frame_log(path)? => frame_log_folder(path)?,
             true => Reading::of(options).members(folder_members(path)?, path, Format::Folder, 0)?,
             false => Reading::of(options).bytes(file_bytes(path)?, path, 0)?,
         };
@@ -264,7 +255,8 @@ fn zip_members(bytes: &[u8], path: &Path, budget: &mut UnpackingBudget) -> Resul
     Ok(members)
 }
 
-fn folder_members(path: &Path) -> Result<Members, RecordError> {
+/// The files of a folder, by name.
+fn folder_files(path: &Path) -> Result<Vec<PathBuf>, RecordError> {
     let refused = |source| RecordError::ReadFile { path: path.to_owned(), source };
     let mut files = Vec::new();
     for entry in std::fs::read_dir(path).map_err(refused)? {
@@ -278,11 +270,42 @@ fn folder_members(path: &Path) -> Result<Members, RecordError> {
         }
     }
     files.sort_unstable();
-    let named = |file: PathBuf| {
-        let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        Ok((name, file_bytes(&file)?))
-    };
-    files.into_iter().map(named).collect()
+    Ok(files)
+}
+
+fn name_of(file: &Path) -> String {
+    file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+fn folder_members(path: &Path) -> Result<Members, RecordError> {
+    folder_files(path)?.into_iter().map(|file| Ok((name_of(&file), file_bytes(&file)?))).collect()
+}
+
+/// Whether a folder is that of a frame log.
+fn has_frame_log(path: &Path) -> Result<bool, RecordError> {
+    Ok(folder_files(path)?.iter().any(|file| frame_log::is_segment(&name_of(file))))
+}
+
+/// Reads the segments of a frame log, one after the other, as one recording.
+fn frame_log_folder(path: &Path) -> Result<Contents, RecordError> {
+    let mut frames = FrameRows::default();
+    let (mut remarks, mut left_out) = (Vec::new(), Vec::new());
+    for file in folder_files(path)? {
+        let name = name_of(&file);
+        if frame_log::is_segment(&name) {
+            let read = mcap::read_frames(&file_bytes(&file)?, &mut frames);
+            let told = read.map_err(|source| fault(&file, Format::Mcap, source))?;
+            remarks.extend(told.into_iter().map(|remark| format!("{name}: {remark}")));
+        } else if !frame_log::is_lock(&name) {
+            left_out.push(name);
+        }
+    }
+    if !left_out.is_empty() {
+        remarks.push(format!("left out, no segments of the frame log: {}", left_out.join(", ")));
+    }
+    let (channels, told) = frames.channels();
+    remarks.extend(told);
+    Ok(Contents { format: Format::Folder, channels, remarks })
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::{collections::VecDeque, fs::File, io::Read, path::Path};
 
 use crate::{
     ColumnMapping, CsvReader, Format, ReadOptions, RecordError, RecordReader, RecordedFile, RecordedRows, Row,
-    TableUnits, TimeSource, rate::rate_from_times, table_layout::HEAD_BYTES,
+    TimeSource, rate::rate_from_times, table_layout::HEAD_BYTES,
 };
 
 /// Whether the constant part of each channel is taken away, such as the tilt of an accelerometer.
@@ -177,9 +177,9 @@ fn table_reader(path: &Path, mapping: &ColumnMapping) -> Result<Option<CsvReader
     }
 }
 
-/// What a mapping says of a file that says too little. A mapping names columns as they are called, brackets included.
+/// What a mapping says of a file that says too little.
 fn options_of(mapping: &ColumnMapping) -> ReadOptions {
-    let options = ReadOptions { table_units: TableUnits::Unstated, ..ReadOptions::default() };
+    let options = ReadOptions::default();
     match mapping.time() {
         TimeSource::Column { name, unit } => {
             ReadOptions { time_column: Some(name.clone()), time_unit: Some(*unit), ..options }

@@ -87,6 +87,8 @@ pub struct Cutter {
     block_samples: Vec<u64>,
     /// Time of the first row, ns.
     first_ns: Option<i64>,
+    /// Frames that are made already, and the number of the first that is not.
+    resume: Option<(TimeGrid, u64)>,
 }
 
 impl Cutter {
@@ -105,13 +107,20 @@ impl Cutter {
         let fastest_hz = nodes.iter().map(|node| node.sampling_rate_hz).fold(0.0, f64::max);
         let of_node = |node: &NodePlan| ((block_samples as f64 * node.sampling_rate_hz / fastest_hz) as u64).max(1);
         let block_samples = nodes.iter().map(of_node).collect();
-        Self { open: open.collect(), nodes, block_samples, first_ns: None }
+        Self { open: open.collect(), nodes, block_samples, first_ns: None, resume: None }
     }
 
     /// Makes the blocks say this of their samples, in place of [`Pace::Replayed`].
     #[must_use]
     pub fn with_pace(mut self, pace: Pace) -> Self {
         self.open.iter_mut().for_each(|block| block.pace = pace);
+        self
+    }
+
+    /// Leaves out the samples of frames before number `next`, which ingest has made of what an earlier life of the nodes put.
+    #[must_use]
+    pub fn resuming(mut self, frames: TimeGrid, next: u64) -> Self {
+        self.resume = Some((frames, next));
         self
     }
 
@@ -134,6 +143,9 @@ impl Cutter {
                 continue;
             }
             let time_ns = time_ns.saturating_add(node.clock_ahead_ns(elapsed_ns));
+            if self.resume.is_some_and(|(frames, next)| frames.nearest(time_ns) < next as i64) {
+                continue;
+            }
             let full = open.count() >= *block_samples;
             if open.count() > 0 && (full || !continues(open, time_ns)) {
                 let next = empty_after(open);
@@ -267,6 +279,18 @@ mod tests {
         let times = |node| of_node(&blocks, node).iter().map(|block| block.header.time_ns).collect::<Vec<_>>();
         // 20 samples of 5 ms are 100 ms, of which 50 ppm are 5 µs
         assert_eq!((times(0), times(1)), (vec![1000, 100_001_000], vec![1007, 100_006_007]));
+    }
+
+    #[test]
+    fn what_is_in_frames_already_is_left_out_node_by_node() {
+        let ahead = NodePlan { clock_offset_ns: STEP, ..node("b", 1) };
+        let mut cutter = Cutter::new(vec![node("a", 1), ahead], 2, 10).resuming(TimeGrid::new(0, 200.0).unwrap(), 3);
+        let mut blocks = Vec::new();
+        (0..6).for_each(|n| cutter.push(n * STEP, &[n as f64, n as f64], &mut blocks));
+        cutter.end(&mut blocks);
+        let heads: Vec<_> = blocks.iter().map(|(node, b)| (*node, b.header.sequence, b.header.time_ns)).collect();
+        assert_eq!(heads, [(0, 0, 3 * STEP), (1, 0, 3 * STEP)]);
+        assert_eq!((&*blocks[0].1.samples, &*blocks[1].1.samples), (&[3.0, 4.0, 5.0][..], &[2.0, 3.0, 4.0, 5.0][..]));
     }
 
     #[test]

@@ -104,7 +104,7 @@ mod tests {
     const WINDOW: Window = Window { rows: 10, step_ns: 10, clock_ahead_ns: 0, min_epoch: 5 };
 
     fn progress(epoch: u64, time_ns: i64) -> Progress {
-        Progress { header: Header { source: "identify".into(), epoch, sequence: 0, time_ns }, done: 0 }
+        Progress { header: Header { source: "identify".into(), epoch, sequence: 0, time_ns }, done: 0, kept: 0 }
     }
 
     /// Batches of 5 rows of these times, ns.

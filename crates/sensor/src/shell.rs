@@ -4,8 +4,8 @@ use std::future::Future;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use spandrel_bus::{
-    Block, Bus, Keys, LiveToken, NumberedPublisher, NumberedStream, Pace, Progress, ProgressWatch, SampleBlock,
-    Service, StreamState, TimeGrid,
+    Block, Bus, CaughtUp, FrameBlock, Keys, LiveToken, NumberedPublisher, NumberedStream, Pace, Progress,
+    ProgressWatch, SampleBlock, Service, StreamState, TimeGrid,
 };
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until, timeout};
@@ -43,6 +43,8 @@ pub struct SensorSettings {
     pub epoch: u64,
     /// Services whose liveliness token is waited for, and whose progress is not run away from.
     pub wait_for: Vec<Service>,
+    /// Whether to go on where the frames of ingest end, in place of a run of its own: after these nodes were killed.
+    pub resume: bool,
 }
 
 /// The nodes of one structure, simulated or replayed.
@@ -95,7 +97,10 @@ impl SensorService {
                 buffer_key: keys.buffer(&node.name),
                 source: node.name.to_string(),
                 epoch: settings.epoch,
+                first: 0,
+                state: StreamState::Running,
                 capacity: SAMPLES_KEPT,
+                forget: None,
             };
             publishers.push(bus.publish_numbered(stream).await?);
         }
@@ -135,7 +140,20 @@ impl SensorService {
             ready = self.wait_for_services() => ready?,
             () = &mut stop => return self.withdraw().await,
         }
-        let min_epoch = self.min_epoch().await;
+        let min_epoch = match self.settings.resume {
+            false => self.min_epoch().await,
+            true => match self.last_frame().await {
+                Some((_, at)) if at.state == StreamState::Ended => {
+                    info!(structure = self.keys.structure().as_str(), "nothing to resume: the frames have ended");
+                    return self.withdraw().await;
+                }
+                Some((last, at)) => {
+                    self.resume_after(&last);
+                    at.header.epoch
+                }
+                None => self.min_epoch().await,
+            },
+        };
         let mut put = Put { first_ns: 0, rows: RowsPut::default(), last_sample_ns: i64::MIN, next: Vec::new() };
         put.next.resize_with(self.publishers.len(), || None);
         let nodes = self.cutter.nodes().to_vec();
@@ -177,6 +195,19 @@ impl SensorService {
         }
         info!(structure = self.keys.structure().as_str(), nodes = self.publishers.len(), "sensor nodes start");
         Ok(())
+    }
+
+    /// The last frame that ingest has made, and where its stream stands.
+    async fn last_frame(&self) -> Option<(FrameBlock, CaughtUp)> {
+        self.bus.last_item(&self.keys.recording(), POSITION_TIMEOUT).await
+    }
+
+    fn resume_after(&mut self, last: &FrameBlock) {
+        let Some(grid) = last.grid() else { return };
+        info!(structure = self.keys.structure().as_str(), frame = last.end(), "nodes go on where the frames end");
+        let nodes = self.cutter.nodes().to_vec();
+        let cutter = std::mem::replace(&mut self.cutter, Cutter::new(nodes, self.settings.epoch, 1));
+        self.cutter = cutter.resuming(grid, last.end());
     }
 
     /// The lowest epoch of frames of this run; what ingest has said of earlier ones must not count for it.

@@ -49,7 +49,7 @@ async fn sensor(bus: &Bus, wait_for: Vec<Service>) -> SensorService {
         clock_offset_ns: 0,
         clock_drift_ppm: 0.0,
     };
-    let settings = SensorSettings { speed: Speed::Max, epoch: 1, wait_for };
+    let settings = SensorSettings { speed: Speed::Max, epoch: 1, wait_for, resume: false };
     SensorService::start(vec![node], 200.0, bus, keys(), settings).await.unwrap()
 }
 

@@ -1,6 +1,7 @@
 //! The command line.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use spandrel_access::Role;
 use spandrel_filter::ImportanceDensity;
 use spandrel_identify::ParticlePlan;
 use spandrel_record::{ReadOptions, TimeUnit};
@@ -48,7 +49,7 @@ pub enum Command {
     Ingest(ServiceArguments),
     /// Identify parameters and noise levels from frames.
     #[command(after_help = "Examples: spandrel identify --config spandrel.toml\n          \
-                            spandrel identify bridge.toml --node deck-3 --connect tcp/10.0.0.5:7447")]
+                            spandrel identify bridge.toml --node deck-3 --connect quic/10.0.0.5:7447 --certificate NAME.pem")]
     Identify(IdentifyArguments),
     /// Fuse what sensor nodes have identified for themselves.
     #[command(after_help = "Example: spandrel fuse bridge.toml --config spandrel.toml")]
@@ -57,18 +58,20 @@ pub enum Command {
     #[command(after_help = "Example: spandrel alert --config spandrel.toml")]
     Alert(ServiceArguments),
     /// Keep estimates, alerts and events in a database, and answer for the past.
-    #[command(after_help = "Example: spandrel history bridge.toml --connect tcp/10.0.0.5:7447")]
+    #[command(after_help = "Example: spandrel history bridge.toml --connect quic/10.0.0.5:7447 --certificate NAME.pem")]
     History(ServiceArguments),
     /// Tell of alerts by webhook, Alertmanager and e-mail.
     #[command(after_help = "Example: spandrel notify --config spandrel.toml")]
     Notify(ServiceArguments),
     /// Serve a web page of parameters and alerts, with an HTTP interface and a WebSocket.
-    #[command(after_help = "Examples: spandrel dashboard bridge.toml --connect tcp/10.0.0.5:7447\n          \
-                            spandrel dashboard --config spandrel.toml --http 0.0.0.0:8080")]
+    #[command(
+        after_help = "Examples: spandrel dashboard bridge.toml --connect quic/10.0.0.5:7447 --certificate NAME.pem\n          \
+                            spandrel dashboard --config spandrel.toml --http 127.0.0.1:9000"
+    )]
     Dashboard(RunArguments),
     /// Simulate a structure: to the bus, or to a file.
     #[command(after_help = "Examples: spandrel simulate tower.toml --record tower.csv --duration 600\n          \
-                            spandrel simulate tower.toml --speed 1 --connect tcp/10.0.0.5:7447\n          \
+                            spandrel simulate tower.toml --speed 1 --connect quic/10.0.0.5:7447 --certificate NAME.pem\n          \
                             spandrel simulate tower.toml --live --node roof --start 1763730000")]
     Simulate(SimulateArguments),
     /// Send a recording to the bus as its sensor nodes would.
@@ -107,6 +110,22 @@ pub enum Command {
     /// Watch parameters and alerts of a running system in this terminal.
     #[command(after_help = "Example: spandrel watch tower --connect tcp/127.0.0.1:7447")]
     Watch(WatchArguments),
+    /// Route between the parties of a site, by the configuration file of a Zenoh router.
+    #[command(after_help = "Example: spandrel router /etc/spandrel/router.json5")]
+    Router(RouterArguments),
+    /// Make the certificates of a site, and the configuration of its router.
+    #[command(
+        subcommand,
+        after_help = "Examples: spandrel site create bridge-site\n          \
+                      spandrel site issue bridge-site router main --host 10.0.0.5\n          \
+                      spandrel site issue bridge-site server main\n          \
+                      spandrel site nodes bridge-site bridge.toml\n          \
+                      spandrel site router bridge-site bridge.toml --listen quic/10.0.0.5:7447"
+    )]
+    Site(SiteCommand),
+    /// Make a token for the web page: printed once, and kept as a hash.
+    #[command(after_help = "Example: spandrel token grace --role operator --file /etc/spandrel/tokens.json")]
+    Token(TokenArguments),
     /// Write shell completions to standard output.
     #[command(after_help = "Example: spandrel completions bash > /etc/bash_completion.d/spandrel")]
     Completions {
@@ -131,9 +150,122 @@ pub struct BusArguments {
     /// Endpoint to connect to; may be repeated.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
+    /// Certificate (PEM) to show and to ask for at endpoints quic/…; its key and the authority.pem of the site lie beside it.
+    /// Without --listen the session is then a client of a router.
+    #[arg(long, value_name = "FILE.pem")]
+    pub certificate: Option<PathBuf>,
     /// Zenoh configuration file (JSON5).
     #[arg(long, value_name = "FILE")]
     pub zenoh_config: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub struct RouterArguments {
+    /// Configuration file of a Zenoh router, as zenohd takes it; spandrel site router writes one.
+    #[arg(value_name = "ROUTER.json5")]
+    pub file: PathBuf,
+}
+
+/// What a token allows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum TokenRole {
+    /// To read.
+    Viewer,
+    /// To read, and to acknowledge alerts.
+    Operator,
+}
+
+#[derive(Debug, Args)]
+pub struct TokenArguments {
+    /// Whose token it is.
+    pub name: String,
+    /// What it allows.
+    #[arg(long, value_enum)]
+    pub role: TokenRole,
+    /// File of the tokens, which dashboard.tokens names; it is made if it is not there.
+    #[arg(long, value_name = "FILE")]
+    pub file: PathBuf,
+    /// Take the place of the token of that name.
+    #[arg(long)]
+    pub replace: bool,
+}
+
+/// What is done with the folder of a site.
+#[derive(Debug, Subcommand)]
+pub enum SiteCommand {
+    /// Make an authority, in a folder that only its owner can read.
+    Create {
+        /// Where its files go.
+        folder: PathBuf,
+        /// Name of the site, as it stands in the certificate of the authority.
+        #[arg(long, default_value = "site")]
+        name: String,
+        /// For how many days it is valid.
+        #[arg(long, default_value_t = 3650)]
+        days: u32,
+        /// Take the place of an authority that is there; all that it has issued is worth nothing then.
+        #[arg(long)]
+        replace: bool,
+    },
+    /// Issue a certificate.
+    Issue {
+        /// Folder of the site.
+        folder: PathBuf,
+        /// What the party is for: router, server, worker, alert, history, notify, dashboard, operator, viewer, gateway,
+        /// node-worker or sensor.
+        role: Role,
+        /// Its name: STRUCTURE.NODE of a sensor or node-worker, STRUCTURE of a gateway, any of the others.
+        name: String,
+        /// Name or address under which others connect to it; may be repeated. A router needs one.
+        #[arg(long)]
+        host: Vec<String>,
+        /// For how many days it is valid, at most as long as the authority.
+        #[arg(long, default_value_t = 365)]
+        days: u32,
+        /// Take the place of a certificate that is there.
+        #[arg(long)]
+        replace: bool,
+    },
+    /// Issue a certificate to each sensor node that has none.
+    Nodes {
+        /// Folder of the site.
+        folder: PathBuf,
+        /// Structure files that name the nodes.
+        #[arg(value_name = "STRUCTURE.toml", required = true)]
+        structures: Vec<PathBuf>,
+        /// For how many days they are valid.
+        #[arg(long, default_value_t = 365)]
+        days: u32,
+    },
+    /// Write the configuration of the router: who has a certificate in the folder may do what its role needs.
+    Router(SiteRouterArguments),
+}
+
+#[derive(Debug, Args)]
+pub struct SiteRouterArguments {
+    /// Folder of the site.
+    pub folder: PathBuf,
+    /// Structure files; certificates of other structures and nodes are refused.
+    #[arg(value_name = "STRUCTURE.toml")]
+    pub structures: Vec<PathBuf>,
+    /// Endpoint to listen on, such as quic/10.0.0.5:7447; may be repeated.
+    #[arg(long, value_name = "ENDPOINT", required = true)]
+    pub listen: Vec<String>,
+    /// Name of the router, where several have a certificate.
+    #[arg(long, value_name = "NAME")]
+    pub router: Option<String>,
+    /// First chunk of all key expressions [default: spandrel].
+    #[arg(long)]
+    pub root: Option<String>,
+    /// Folder in which the router finds its certificate, its key and authority.pem [default: that of the site].
+    #[arg(long, value_name = "FOLDER")]
+    pub installed_in: Option<PathBuf>,
+    /// Where to write it [default: router.json5 in the folder of the site].
+    #[arg(long, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// Take the place of a file that is there.
+    #[arg(long)]
+    pub replace: bool,
 }
 
 #[derive(Debug, Args)]
@@ -219,7 +351,8 @@ pub struct DemoArguments {
     /// End with one JSON object.
     #[arg(long)]
     pub json: bool,
-    /// Nodes that identify for themselves and a station that fuses them: forty storeys, sixteen nodes, three of them wrong.
+    /// Nodes that identify for themselves and a station that fuses them: forty storeys, sixteen nodes, one of them off all the time,
+    /// one silent for a while, and spikes in all.
     #[arg(long, conflicts_with = "structure")]
     pub distributed: bool,
     /// Another structure file, with a simulation table, than the built-in one.
@@ -296,6 +429,9 @@ pub struct ReplayArguments {
     /// Times real time, or max.
     #[arg(long, default_value = "1")]
     pub speed: Speed,
+    /// Go on where the frames of ingest end, as after a crash of this command, in place of a run of its own.
+    #[arg(long)]
+    pub resume: bool,
     #[command(flatten)]
     pub bus: BusArguments,
 }
@@ -317,12 +453,7 @@ pub struct ReadingArguments {
 impl ReadingArguments {
     /// Returns the options of reading.
     pub fn options(&self) -> ReadOptions {
-        ReadOptions {
-            time_column: self.time_column.clone(),
-            time_unit: self.time_unit,
-            sampling_rate_hz: self.rate,
-            ..ReadOptions::default()
-        }
+        ReadOptions { time_column: self.time_column.clone(), time_unit: self.time_unit, sampling_rate_hz: self.rate }
     }
 }
 

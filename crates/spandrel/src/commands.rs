@@ -10,8 +10,11 @@ mod estimate;
 mod info;
 mod progress;
 mod replay;
+mod router;
 mod run;
 mod simulate;
+mod site;
+mod token;
 mod validate;
 mod watch;
 
@@ -46,6 +49,9 @@ pub fn run(command: Command) -> Result<(), AppError> {
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Validate(arguments) => validate::run(&arguments),
         Command::Watch(arguments) => watch::run(arguments),
+        Command::Router(arguments) => router::run(&arguments),
+        Command::Site(command) => site::run(command),
+        Command::Token(arguments) => token::run(&arguments),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Arguments::command(), "spandrel", &mut script);

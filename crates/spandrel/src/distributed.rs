@@ -89,7 +89,7 @@ impl Network {
         while let Some((node, message)) = self.local.pop_front() {
             let arrived_ns = message.header.time_ns;
             let mut outputs = Vec::new();
-            self.fusion.handle(Input::Local { node, message, bytes: 0, arrived_ns }, &mut outputs);
+            self.fusion.handle(Input::Local { node, message: Box::new(message), bytes: 0, arrived_ns }, &mut outputs);
             for output in outputs {
                 match output {
                     Output::Estimates(block) => {
@@ -101,7 +101,9 @@ impl Network {
                     }
                     Output::Feedback(node, feedback) => self.work(node, NodeInput::Feedback(feedback)),
                     Output::Event(event) => spandrel_identify::log_event(&event, self.start_ns),
-                    Output::Parameter(_) | Output::Node(_) => {} // for people who watch a bus
+                    Output::Node(display) => self.collector.take_node(&display),
+                    Output::Outliers(_, display) => self.collector.take_outliers(&display),
+                    Output::Parameter(_) => {} // for people who watch a bus
                 }
             }
         }

@@ -1,5 +1,6 @@
 //! What ends the program, how it is told, and with which exit code.
 
+use spandrel_access::AccessError;
 use spandrel_alert::AlertError;
 use spandrel_bus::{BusError, NameError};
 use spandrel_dashboard::DashboardError;
@@ -87,6 +88,25 @@ pub enum AppError {
         /// The nodes that it has.
         known: String,
     },
+    /// A certificate is for a structure that was not given.
+    #[error("certificate {party} is for a structure that was not given; given: {}", if known.is_empty() { "none" } else { known })]
+    CertificateOfNone {
+        /// Whose certificate it is.
+        party: String,
+        /// The structures given.
+        known: String,
+    },
+    /// The certificate does not allow what the subcommand has to do.
+    #[error("certificate {} does not fit: {why}; the router would drop what it does not allow, and tell nobody", certificate.display())]
+    WrongRole {
+        /// The certificate.
+        certificate: PathBuf,
+        /// Whose it is, and who may.
+        why: String,
+    },
+    /// Roles and certificates.
+    #[error(transparent)]
+    Access(#[from] AccessError),
     /// A station was asked for, and no structure is identified by its nodes.
     #[error("nothing to fuse: no structure has identification = \"distributed\"")]
     NothingToFuse,
@@ -119,9 +139,15 @@ pub enum AppError {
     NoHistory,
     /// Nothing says where this system keeps what programs have to remember.
     #[error(
-        "no place for the history: none of STATE_DIRECTORY, XDG_STATE_HOME and HOME is set; set history.database to a file, a postgres:// address, or none"
+        "no place for what is kept: none of STATE_DIRECTORY, XDG_STATE_HOME and HOME is set; set state.folder to a folder and history.database to a file or a postgres:// address, or both to none"
     )]
     NoStateFolder,
+    /// The recording is to be forced to the disk at no time.
+    #[error("state.recording.sync-s is {found}, must be a time in s, such as 1")]
+    SyncTime {
+        /// What was found.
+        found: f64,
+    },
     /// Notices failed.
     #[error(transparent)]
     Notify(#[from] NotifyError),
@@ -219,10 +245,20 @@ impl AppError {
             | Self::UnknownNode { .. }
             | Self::NothingToFuse
             | Self::NoPage
+            | Self::Dashboard(
+                DashboardError::Unprotected { .. }
+                | DashboardError::Tls(_)
+                | DashboardError::Certificate { .. }
+                | DashboardError::TokenFile { .. }
+                | DashboardError::NotTokens { .. }
+                | DashboardError::NoTokens { .. }
+                | DashboardError::TokenExists { .. },
+            )
             | Self::NoHistory
             | Self::NobodyToTell
             | Self::Notify(NotifyError::Setting { .. } | NotifyError::Secret { .. })
             | Self::NoStateFolder
+            | Self::SyncTime { .. }
             | Self::History(HistoryError::Address { .. })
             | Self::WouldOverwrite { .. }
             | Self::ParticlesOnly { .. }
@@ -230,14 +266,44 @@ impl AppError {
             | Self::Name(_)
             | Self::Validate(ValidateError::UnknownCase { .. } | ValidateError::File { .. })
             | Self::Sensor(SensorError::Record(_))
-            | Self::Bus(BusError::ConfigFile { .. } | BusError::Setting { .. })
+            | Self::Ingest(IngestError::Record(RecordError::OtherLog { .. }))
+            | Self::CertificateOfNone { .. }
+            | Self::WrongRole { .. }
+            | Self::Access(
+                AccessError::Party(_)
+                | AccessError::Exists { .. }
+                | AccessError::NoSite { .. }
+                | AccessError::NoHost { .. }
+                | AccessError::Host { .. }
+                | AccessError::Days { .. }
+                | AccessError::NoRouter { .. }
+                | AccessError::SeveralRouters { .. }
+                | AccessError::PlainEndpoint { .. }
+                | AccessError::PathNotText { .. },
+            )
+            | Self::Bus(
+                BusError::ConfigFile { .. }
+                | BusError::Setting { .. }
+                | BusError::Root { .. }
+                | BusError::Structure { .. }
+                | BusError::ConnectTimeout { .. }
+                | BusError::TlsOverTcp { .. }
+                | BusError::NotARouter { .. }
+                | BusError::PathNotText { .. }
+                | BusError::Unprotected { .. }
+                | BusError::NoCertificateAsked { .. }
+                | BusError::Multicast
+                | BusError::NoCertificates { .. }
+                | BusError::Tls(_),
+            )
             | Self::Alert(
                 AlertError::File { .. }
                 | AlertError::BaselineSyntax { .. }
                 | AlertError::BaselineFormat { .. }
                 | AlertError::BaselineStructure { .. },
             ) => ExitCode::from(BAD_INPUT),
-            Self::Bus(_)
+            Self::Access(_)
+            | Self::Bus(_)
             | Self::Ingest(_)
             | Self::Identify(_)
             | Self::Fuse(_)

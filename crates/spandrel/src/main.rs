@@ -8,9 +8,12 @@ mod error;
 mod logging;
 mod offline;
 mod record_source;
+mod role_check;
 mod services;
 mod settings;
+mod state;
 mod summary;
+mod supervision;
 mod watch;
 
 use clap::Parser;

@@ -2,9 +2,11 @@
 
 use crate::error::AppError;
 use crate::settings::Settings;
+use crate::state::State;
+use crate::supervision::supervise;
 use spandrel_alert::{AlertService, Baseline};
 use spandrel_bus::{Bus, Keys, Name};
-use spandrel_dashboard::{DashboardService, Listen};
+use spandrel_dashboard::{DashboardService, PageSettings};
 use spandrel_fuse::FuseService;
 use spandrel_history::{Address, HistoryService, Keep};
 use spandrel_identify::{FilterPool, IdentifyService, NodeService};
@@ -15,7 +17,8 @@ use std::net::SocketAddr;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
-use tokio::sync::watch;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::{oneshot, watch};
 use tokio::task::JoinSet;
 use tracing::{info, warn};
 
@@ -117,6 +120,13 @@ pub struct Running {
     history: Stage,
     notify: Stage,
     dashboard: Stage,
+    pool: Option<FilterPool>,
+}
+
+/// Ends when the word is to stop.
+async fn stopped(mut stop: watch::Receiver<bool>) {
+    // a sender that is gone stops as well
+    let _ = stop.wait_for(|stop| *stop).await;
 }
 
 /// All instances of one service.
@@ -134,11 +144,7 @@ impl Stage {
 
     /// A future that ends when the stage is told to stop.
     fn stopped(&self) -> impl Future<Output = ()> + Send + 'static {
-        let mut stop = self.stop.subscribe();
-        async move {
-            // a sender that is gone stops as well
-            let _ = stop.wait_for(|stop| *stop).await;
-        }
+        stopped(self.stop.subscribe())
     }
 
     /// Waits until an instance ends, which none does before it is told to.
@@ -179,24 +185,48 @@ impl Running {
             history: Stage::new("history"),
             notify: Stage::new("notify"),
             dashboard: Stage::new("dashboard"),
+            pool: None,
         }
     }
 
-    /// Starts ingest for each structure.
+    /// The threads of the filters, where there are any.
+    pub fn pool(&self) -> Option<FilterPool> {
+        self.pool.clone()
+    }
+
+    /// Starts ingest for each structure; with `state`, it records.
     ///
     /// # Errors
     /// When one cannot start.
-    pub async fn start_ingest(&mut self, bus: &Bus, watched: &[Watched]) -> Result<(), AppError> {
+    pub async fn start_ingest(
+        &mut self,
+        bus: &Bus,
+        watched: &[Watched],
+        state: Option<&State>,
+    ) -> Result<(), AppError> {
         for Watched { structure, keys, .. } in watched {
             let lateness = Duration::try_from_secs_f64(structure.ingest().lateness_s);
             let settings = IngestSettings {
                 id: Name::new("ingest")?,
                 epoch: epoch_now(),
                 waiting: lateness.map_or(Waiting::Unlimited, Waiting::Limited),
+                recording: state.map(|state| state.recording(keys)),
             };
-            let service = IngestService::start(structure, bus, keys.clone(), settings).await?;
-            let stop = self.ingest.stopped();
-            self.ingest.tasks.spawn(async move { Ok(service.run(stop).await?) });
+            let (structure, bus, keys, stop) =
+                (structure.clone(), bus.clone(), keys.clone(), self.ingest.stop.subscribe());
+            let name = structure.name().to_owned();
+            let start = move || {
+                let settings = IngestSettings { epoch: epoch_now(), ..settings.clone() };
+                let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());
+                async move { IngestService::start(&structure, &bus, keys, settings).await }
+            };
+            let (service, of_first) = (start().await?, stopped(stop.clone()));
+            let next = move || {
+                let (start, stop) = (start(), stopped(stop.clone()));
+                async move { Ok(start.await?.run(stop).await?) }
+            };
+            let first = async move { Ok(service.run(of_first).await?) };
+            self.ingest.tasks.spawn(supervise("ingest", name, first, next));
         }
         Ok(())
     }
@@ -212,11 +242,13 @@ impl Running {
         watched: &[Watched],
         threads: Option<NonZeroUsize>,
         only: &[String],
+        state: Option<&State>,
     ) -> Result<(), AppError> {
         check_nodes(watched, only)?;
         let threads = threads.or_else(|| std::thread::available_parallelism().ok()).unwrap_or(NonZeroUsize::MIN);
         let no_thread = |source| AppError::Io { what: "cannot start a thread for the filters".to_owned(), source };
         let pool = FilterPool::start(threads).map_err(no_thread)?;
+        self.pool = Some(pool.clone());
         let wanted = |name: &str| only.is_empty() || only.iter().any(|wanted| wanted == name);
         for Watched { structure, keys, .. } in watched {
             if structure.fusion().is_some() {
@@ -228,9 +260,21 @@ impl Running {
                 continue;
             }
             let id = Name::new("identify")?;
-            let service = IdentifyService::start(structure, bus, keys.clone(), id, pool.clone()).await?;
-            let stop = self.identify.stopped();
-            self.identify.tasks.spawn(async move { Ok(service.run(stop).await?) });
+            let remembering = state.map(|state| state.remembering(keys));
+            let (structure, bus, keys, pool) = (structure.clone(), bus.clone(), keys.clone(), pool.clone());
+            let (name, stop) = (structure.name().to_owned(), self.identify.stop.subscribe());
+            let start = move || {
+                let (structure, bus, keys, id) = (structure.clone(), bus.clone(), keys.clone(), id.clone());
+                let (pool, remembering) = (pool.clone(), remembering.clone());
+                async move { IdentifyService::start(&structure, &bus, keys, id, pool, remembering.as_ref()).await }
+            };
+            let (service, of_first) = (start().await?, stopped(stop.clone()));
+            let next = move || {
+                let (start, stop) = (start(), stopped(stop.clone()));
+                async move { Ok(start.await?.run(stop).await?) }
+            };
+            let first = async move { Ok(service.run(of_first).await?) };
+            self.identify.tasks.spawn(supervise("identify", name, first, next));
         }
         Ok(())
     }
@@ -252,12 +296,24 @@ impl Running {
     ///
     /// # Errors
     /// When one cannot start.
-    pub async fn start_alert(&mut self, bus: &Bus, watched: &[Watched]) -> Result<(), AppError> {
+    pub async fn start_alert(&mut self, bus: &Bus, watched: &[Watched], state: Option<&State>) -> Result<(), AppError> {
         for Watched { structure, keys, baseline } in watched {
             let id = Name::new("alert")?;
-            let service = AlertService::start(structure, baseline.as_ref(), bus, keys.clone(), id).await?;
-            let stop = self.alert.stopped();
-            self.alert.tasks.spawn(async move { Ok(service.run(stop).await?) });
+            let remembering = state.map(|state| state.remembering(keys));
+            let (structure, bus, keys, baseline) = (structure.clone(), bus.clone(), keys.clone(), baseline.clone());
+            let (name, stop) = (structure.name().to_owned(), self.alert.stop.subscribe());
+            let start = move || {
+                let (structure, bus, keys, id) = (structure.clone(), bus.clone(), keys.clone(), id.clone());
+                let (baseline, remembering) = (baseline.clone(), remembering.clone());
+                async move { AlertService::start(&structure, baseline.as_ref(), &bus, keys, id, remembering.as_ref()).await }
+            };
+            let (service, of_first) = (start().await?, stopped(stop.clone()));
+            let next = move || {
+                let (start, stop) = (start(), stopped(stop.clone()));
+                async move { Ok(start.await?.run(stop).await?) }
+            };
+            let first = async move { Ok(service.run(of_first).await?) };
+            self.alert.tasks.spawn(supervise("alert", name, first, next));
         }
         Ok(())
     }
@@ -306,11 +362,11 @@ impl Running {
         &mut self,
         bus: &Bus,
         watched: &[Watched],
-        listen: &Listen,
+        page: &PageSettings,
     ) -> Result<SocketAddr, AppError> {
         let structures: Vec<_> =
             watched.iter().map(|Watched { structure, keys, .. }| (structure, keys.clone())).collect();
-        let service = DashboardService::start(&structures, bus, listen, Name::new("dashboard")?).await?;
+        let service = DashboardService::start(&structures, bus, page, Name::new("dashboard")?).await?;
         let (address, stop) = (service.address(), self.dashboard.stopped());
         self.dashboard.tasks.spawn(async move { Ok(service.run(stop).await?) });
         Ok(address)
@@ -362,34 +418,59 @@ fn check_nodes(watched: &[Watched], only: &[String]) -> Result<(), AppError> {
     }
 }
 
-/// Ends when the process is asked to: Ctrl-C or SIGTERM. A second request ends it at once.
-pub async fn interrupted() {
-    wait_for_signal().await;
-    info!("stopping; a second signal stops at once");
-    tokio::spawn(async {
-        wait_for_signal().await;
+/// Ends when the process is asked to: Ctrl-C or SIGTERM, heard from this call on. A second request ends it at once.
+pub fn interrupted() -> impl Future<Output = ()> {
+    let mut signals = StopSignals::new();
+    let (mut told, asked) = oneshot::channel();
+    tokio::spawn(async move {
+        tokio::select! {
+            () = signals.next() => {}
+            () = told.closed() => return, // nobody waits for it any more
+        }
+        info!("stopping; a second signal stops at once");
+        let _ = told.send(());
+        signals.next().await;
         std::process::exit(130);
     });
+    async {
+        if asked.await.is_err() {
+            std::future::pending::<()>().await; // the runtime ends
+        }
+    }
 }
 
-async fn wait_for_signal() {
-    let terminated = async {
-        match tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
-            Ok(mut signal) => {
-                signal.recv().await;
-            }
+/// Ctrl-C and SIGTERM. Until something listens to them they end the process without a word, so that this is made before
+/// anybody is told that it is ready.
+struct StopSignals([Option<Signal>; 2]);
+
+impl StopSignals {
+    fn new() -> Self {
+        Self([SignalKind::interrupt(), SignalKind::terminate()].map(|kind| match signal(kind) {
+            Ok(signal) => Some(signal),
             Err(error) => {
-                warn!(%error, "SIGTERM cannot be heard");
-                std::future::pending::<()>().await;
+                warn!(%error, signal = kind.as_raw_value(), "a signal to stop cannot be heard");
+                None
             }
+        }))
+    }
+
+    async fn next(&mut self) {
+        let Self([interrupted, terminated]) = self;
+        tokio::select! {
+            () = heard(interrupted) => {}
+            () = heard(terminated) => {}
         }
+    }
+}
+
+/// Waits for a signal, or for ever where it cannot be heard.
+async fn heard(signal: &mut Option<Signal>) {
+    let is_heard = match signal {
+        Some(signal) => signal.recv().await.is_some(),
+        None => false,
     };
-    tokio::select! {
-        result = tokio::signal::ctrl_c() => if let Err(error) = result {
-            warn!(%error, "Ctrl-C cannot be heard");
-            std::future::pending::<()>().await;
-        },
-        () = terminated => {}
+    if !is_heard {
+        std::future::pending::<()>().await;
     }
 }
 

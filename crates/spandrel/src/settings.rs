@@ -2,10 +2,11 @@
 
 use crate::cli::{BusArguments, PageArguments};
 use crate::error::AppError;
+use crate::state::StateSettings;
 use config::{Config, Environment, File, FileFormat};
 use serde::Deserialize;
-use spandrel_bus::BusConfig;
-use spandrel_dashboard::Listen;
+use spandrel_bus::{BusConfig, Mode, TlsConfig};
+use spandrel_dashboard::{DashboardError, Listen, PageCertificate, PageSettings, Tokens};
 use spandrel_history::{Address, Keep};
 use spandrel_notify::NotifySettings;
 use std::collections::BTreeMap;
@@ -34,6 +35,8 @@ pub struct Settings {
     pub history: HistorySettings,
     /// Who is told of alerts.
     pub notify: NotifySettings,
+    /// What survives the death of a process.
+    pub state: StateSettings,
 }
 
 /// Where the history is kept, and for how long.
@@ -71,7 +74,7 @@ impl HistorySettings {
 }
 
 /// Where programs keep what they have to remember: what systemd says, or else the place of the user.
-fn state_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
+pub(crate) fn state_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     let of_service = || variable("STATE_DIRECTORY").map(PathBuf::from);
     let of_user = || variable("XDG_STATE_HOME").map(|folder| PathBuf::from(folder).join("spandrel"));
     let at_home = || variable("HOME").map(|home| PathBuf::from(home).join(".local/state/spandrel"));
@@ -84,10 +87,16 @@ fn state_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> 
 pub struct DashboardSettings {
     /// Its address, or [`NOTHING`]; none: the usual one.
     pub listen: Option<String>,
+    /// Certificate (PEM) for TLS; in a configuration file, relative to it.
+    pub certificate: Option<PathBuf>,
+    /// Its private key (PEM); none: the file beside it that ends in `.key`.
+    pub key: Option<PathBuf>,
+    /// File of tokens, as `spandrel token` writes it; in a configuration file, relative to it.
+    pub tokens: Option<PathBuf>,
 }
 
-/// What switches the page or the history off.
-const NOTHING: &str = "none";
+/// What switches the page, the history or the state off.
+pub(crate) const NOTHING: &str = "none";
 
 impl DashboardSettings {
     /// Where to listen, flags before configuration; `None` for no page.
@@ -97,6 +106,27 @@ impl DashboardSettings {
             Some(address) if address == NOTHING => None,
             Some(address) => Some(Listen::At(address.clone())),
         }
+    }
+
+    /// Where and how the page is served; `None` for no page.
+    ///
+    /// # Errors
+    /// The file of tokens cannot be read.
+    pub fn page(&self, arguments: &PageArguments) -> Result<Option<PageSettings>, AppError> {
+        let Some(listen) = self.listen(arguments) else { return Ok(None) };
+        let certificate = self.certificate.clone().map(|certificate| PageCertificate {
+            key: self.key.clone().unwrap_or_else(|| certificate.with_extension("key")),
+            certificate,
+        });
+        let tokens = match self.tokens.as_deref() {
+            None => Tokens::default(),
+            // who takes the last token out of the file does not mean everybody
+            Some(path) => match Tokens::read(path)? {
+                tokens if tokens.is_empty() => return Err(DashboardError::NoTokens { path: path.to_owned() }.into()),
+                tokens => tokens,
+            },
+        };
+        Ok(Some(PageSettings { listen, certificate, tokens }))
     }
 }
 
@@ -143,6 +173,12 @@ impl Settings {
         if !arguments.connect.is_empty() {
             settings.bus.connect.clone_from(&arguments.connect);
         }
+        if let Some(certificate) = &arguments.certificate {
+            settings.bus.tls = Some(TlsConfig::beside(certificate.clone()));
+            if settings.bus.listen.is_empty() {
+                settings.bus.mode = Mode::Client;
+            }
+        }
         if arguments.zenoh_config.is_some() {
             settings.bus.config_file.clone_from(&arguments.zenoh_config);
         }
@@ -150,11 +186,18 @@ impl Settings {
     }
 
     fn resolve_paths(&mut self, folder: &Path) {
+        let page = &mut self.dashboard;
+        let of_page = page.certificate.iter_mut().chain(&mut page.key).chain(&mut page.tokens);
         let paths = self.structures.iter_mut().chain(self.baselines.values_mut()).chain(&mut self.bus.config_file);
+        let paths = paths.chain(of_page);
         for path in paths {
             *path = folder.join(&path);
         }
+        if let Some(tls) = &mut self.bus.tls {
+            tls.resolve(folder);
+        }
         folder.clone_into(&mut self.history.folder);
+        folder.clone_into(&mut self.state.beside);
         self.notify.resolve(folder);
     }
 }

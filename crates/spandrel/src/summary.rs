@@ -1,17 +1,22 @@
 //! What a run ends with: the last estimates, and the alerts on the way.
 
 mod classes;
+mod nodes;
 mod noise;
 mod ordered;
 mod text;
 
 use classes::ClassCollector;
 pub use classes::ClassSummary;
+use nodes::NodeCollector;
+pub use nodes::NodeSummary;
 pub use noise::{NoiseLevelSummary, StatedLevel};
 pub use ordered::Ordered;
 use serde::Serialize;
 use spandrel_alert::Alert;
-use spandrel_bus::{AlertMessage, AlertState, EstimateBlock, FrameBlock, ModelClassDisplay, Phase};
+use spandrel_bus::{
+    AlertMessage, AlertState, EstimateBlock, FrameBlock, ModelClassDisplay, NodeDisplay, OutlierDisplay, Phase,
+};
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 
@@ -35,6 +40,9 @@ pub struct Summary {
     /// How the model classes stand at the end, and what they went through; none where there is one model.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub classes: Option<ClassSummary>,
+    /// What became of the nodes, in file order; none where they do not identify for themselves.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub nodes: Vec<NodeSummary>,
     /// What was wrong with the samples of a record; none where nothing was, and where the services have counted it in their
     /// status.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -100,6 +108,7 @@ pub struct Collector {
     /// frames that the start-up aid lasts, and those since the last start of the filter
     annealing: (u64, u64),
     classes: ClassCollector,
+    nodes: NodeCollector,
     last: Option<spandrel_bus::Estimate>,
     alerts: Vec<(i64, AlertSummary)>,
     /// sum of the normalised innovations squared, and of the channels used
@@ -119,6 +128,7 @@ impl Collector {
             frames: 0,
             annealing: (annealed, 0),
             classes: ClassCollector::default(),
+            nodes: NodeCollector::new(structure),
             last: None,
             alerts: Vec::new(),
             misfit: (0.0, 0.0),
@@ -161,6 +171,16 @@ impl Collector {
     /// Takes how the model classes stand, in order.
     pub fn take_classes(&mut self, display: &ModelClassDisplay) {
         self.classes.take(display);
+    }
+
+    /// Takes how a node that identifies for itself stands after a fusion, in order.
+    pub fn take_node(&mut self, display: &NodeDisplay) {
+        self.nodes.take_node(display);
+    }
+
+    /// Takes how the screening of a channel of such a node stands, in order.
+    pub fn take_outliers(&mut self, display: &OutlierDisplay) {
+        self.nodes.take_outliers(display);
     }
 
     /// Takes a change of an alert from the bus.
@@ -244,6 +264,7 @@ impl Collector {
             misfit,
             warnings,
             classes: self.classes.finish(t0_ns),
+            nodes: self.nodes.finish(),
             samples: self.samples,
             effective_share: self.effective_share,
         }

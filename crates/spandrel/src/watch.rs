@@ -5,7 +5,7 @@
 //! - [`natural_name`], [`trail`], [`heard`]: what has been heard on the bus, without clock, network or terminal
 //! - [`form`], [`view`]: what the person has chosen and typed; keys in, actions out
 //! - [`wording`], [`estimate_bar`], [`wrap`]: numbers, intervals and sentences as text
-//! - [`structure_panel`], [`lists`], [`draw`]: the screen
+//! - [`structure_panel`], [`nodes`], [`lists`], [`draw`]: the screen
 //! - [`plain`]: the same as lines, where there is no screen
 //! - [`topics`], [`listen`], [`screen`], [`held_stderr`], [`shell`]: joins it to bus and terminal
 
@@ -18,6 +18,7 @@ mod view;
 mod draw;
 mod estimate_bar;
 mod lists;
+mod nodes;
 mod plain;
 mod structure_panel;
 mod wording;

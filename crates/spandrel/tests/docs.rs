@@ -116,19 +116,29 @@ fn help(arguments: &[&str]) -> String {
     text.lines().map(str::trim_end).collect::<Vec<_>>().join("\n").trim().to_owned()
 }
 
+/// The subcommands that a help lists.
+fn commands_of(help: &str) -> Vec<&str> {
+    let Some((_, commands)) = help.split_once("\nCommands:\n") else { return Vec::new() };
+    let commands = commands.lines().take_while(|line| !line.is_empty());
+    let names = commands.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    names.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").collect()
+}
+
 /// The page as the program says it; `UPDATE_DOCS=1` writes it.
 #[test]
 fn the_command_line_is_as_the_program_says() {
     let whole = help(&[]);
-    let commands = whole.split("Commands:").nth(1).unwrap().split("Options:").next().unwrap();
-    let names: Vec<&str> = commands.lines().filter_map(|line| line.split_whitespace().next()).collect();
-    let names: Vec<&str> = names.into_iter().filter(|name| *name != "help").collect();
+    let names = commands_of(&whole);
     assert!(names.contains(&"demo") && names.contains(&"estimate"), "{names:?}");
     let mut text = format!(
         "# Command line\n\nWhat `spandrel --help` and `spandrel COMMAND --help` say.\n\n```text\n{whole}\n```\n"
     );
     for name in names.iter().filter(|name| name.chars().all(|c| c.is_ascii_lowercase())) {
-        let _ = write!(text, "\n## {name}\n\n```text\n{}\n```\n", help(&[name]));
+        let of_command = help(&[name]);
+        let _ = write!(text, "\n## {name}\n\n```text\n{of_command}\n```\n");
+        for part in commands_of(&of_command) {
+            let _ = write!(text, "\n### {name} {part}\n\n```text\n{}\n```\n", help(&[name, part]));
+        }
     }
     let path = root().join("docs/command-line.md");
     if std::env::var_os("UPDATE_DOCS").is_some() {

@@ -1,4 +1,7 @@
 //! `spandrel info` and `convert`, the built binary, and recordings of other formats than CSV in `estimate`.
+//!
+//! One test needs Python 3 with the package `mcap` as `python3`, or as the program in `PYTHON`; without it that test says that it was
+//! skipped, and fails where `REQUIRE_ALL_TESTS` is set.
 #![expect(clippy::unwrap_used, reason = "a helper of tests may fail them")]
 
 use serde_json::Value;
@@ -103,4 +106,60 @@ fn wrong_recordings_and_outputs_are_bad_input() {
     let told = refused(&["info", damaged.to_str().unwrap()]);
     assert!(told.contains("damaged.mseed: miniSEED: byte "), "{told}");
     assert_eq!(spandrel(&["info", &record, "--rate", "0"]).status.code(), Some(2));
+}
+
+/// What the public reader for Python finds in a file: by its index, and from the start as far as it goes.
+const READER: &str = r"
+import json, sys
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+from mcap.exceptions import EndOfFile, McapError
+
+whole, cut = sys.argv[1:]
+with open(whole, 'rb') as file:
+    reader = make_reader(file, validate_crcs=True)
+    summary = reader.get_summary()
+    assert summary.statistics.message_count == 6000, summary.statistics
+    topics = {channel.topic: channel.metadata['unit'] for channel in summary.channels.values()}
+    assert topics == {name: 'm/s2' for name in ['ground'] + [f'floor-{n}' for n in range(1, 6)]}, topics
+    schema, = summary.schemas.values()
+    assert schema.encoding == 'jsonschema' and json.loads(schema.data)['properties']['value']['type'] == 'number'
+    times = []
+    for _, channel, message in reader.iter_messages(topics=['floor-5']):
+        assert type(json.loads(message.data)['value']) is float
+        times.append(message.log_time)
+    assert times == [10_000_000 * k for k in range(1000)]
+messages = 0
+with open(cut, 'rb') as file:
+    try:
+        for record in StreamReader(file, validate_crcs=True).records:
+            messages += isinstance(record, Message)
+        raise SystemExit('the end of a file that was cut off was found')
+    except (EndOfFile, McapError):
+        pass
+assert messages == 4096, messages
+";
+
+#[test]
+fn recordings_in_mcap_are_read_by_a_reader_that_is_not_ours() {
+    let python = std::env::var("PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    if !Command::new(&python).args(["-c", "import mcap.reader"]).output().is_ok_and(|output| output.status.success()) {
+        let why = "skipped: python3 with the package mcap is not there";
+        assert!(std::env::var_os("REQUIRE_ALL_TESTS").is_none(), "{why}");
+        println!("{why}");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let whole = simulated(folder.path(), "demo.mcap");
+    // as a writer leaves it that is killed in its second chunk
+    let bytes = std::fs::read(&whole).unwrap();
+    let cut = folder.path().join("cut.mcap");
+    std::fs::write(&cut, &bytes[..bytes.len() / 5 * 4]).unwrap();
+    let output = Command::new(python).args(["-c", READER, &whole]).arg(&cut).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let told = done(&["info", cut.to_str().unwrap(), "--json"]);
+    let channels: Value = serde_json::from_str(&told).unwrap();
+    let samples = channels["channels"].as_array().unwrap().iter().map(|channel| channel["samples"].as_u64().unwrap());
+    assert_eq!(samples.sum::<u64>(), 4096);
 }

@@ -19,29 +19,21 @@ struct Entry {
     value: f64,
 }
 
-/// All parts that one parameter scales.
-#[derive(Debug, Clone)]
-struct Scaled {
-    parameter: usize,
-    entries: Vec<Entry>,
-}
-
 /// A matrix made of parts: `X(θ) = X_fixed + Σ θ_p X_p`.
 #[derive(Debug, Clone)]
 pub(crate) struct Sum {
     /// Values of the parts that no parameter scales.
     fixed: Vec<f64>,
-    /// By parameter, increasing.
-    scaled: Vec<Scaled>,
+    /// All parts that each parameter scales, up to the last one that scales any.
+    scaled: Vec<Vec<Entry>>,
 }
 
 impl Sum {
     /// Writes the values at `θ`.
     pub(crate) fn assemble_to(&self, theta: &[f64], values: &mut [f64]) {
         values.copy_from_slice(&self.fixed);
-        for scaled in &self.scaled {
-            let factor = theta[scaled.parameter];
-            for entry in &scaled.entries {
+        for (scaled, factor) in self.scaled.iter().zip(theta) {
+            for entry in scaled {
                 values[entry.position] += factor * entry.value;
             }
         }
@@ -62,8 +54,7 @@ impl Sum {
     }
 
     fn of(&self, parameter: usize) -> impl Iterator<Item = &Entry> {
-        let place = self.scaled.binary_search_by_key(&parameter, |scaled| scaled.parameter);
-        place.ok().into_iter().flat_map(|place| &self.scaled[place].entries)
+        self.scaled.get(parameter).into_iter().flatten()
     }
 }
 
@@ -200,12 +191,12 @@ fn sum(
         });
         match scaled_by(index) {
             None => entries.for_each(|entry| total.fixed[entry.position] += entry.value),
-            Some(parameter) => match total.scaled.iter_mut().find(|scaled| scaled.parameter == parameter) {
-                Some(scaled) => scaled.entries.extend(entries),
-                None => total.scaled.push(Scaled { parameter, entries: entries.collect() }),
-            },
+            Some(parameter) => {
+                let len = total.scaled.len().max(parameter + 1);
+                total.scaled.resize_with(len, Vec::new);
+                total.scaled[parameter].extend(entries);
+            }
         }
     }
-    total.scaled.sort_by_key(|scaled| scaled.parameter);
     total
 }

@@ -14,6 +14,14 @@ pub enum StructureError {
         /// The cause, from the operating system.
         source: std::io::Error,
     },
+    /// The file is longer than any structure file.
+    #[error("{}: has more than {most} bytes, must have at most {most}", path.display())]
+    TooLarge {
+        /// The file that was asked for.
+        path: PathBuf,
+        /// What is allowed.
+        most: u64,
+    },
     /// The file was read and has mistakes; all of them are listed, in the order of the file.
     #[error("{}", lines(diagnostics))]
     Invalid {
@@ -27,7 +35,7 @@ impl StructureError {
     #[must_use]
     pub fn diagnostics(&self) -> &[Diagnostic] {
         match self {
-            Self::Unreadable { .. } => &[],
+            Self::Unreadable { .. } | Self::TooLarge { .. } => &[],
             Self::Invalid { diagnostics } => diagnostics,
         }
     }

@@ -6,6 +6,7 @@ use crate::node::Quantity;
 use crate::parameter::Scales;
 use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
+use spandrel_filter::fusion::compression::MISSED_MASS;
 use spandrel_filter::fusion::{
     CompressedMotion, CovarianceScheme, FeedbackRule, FusionRule, Gaussian, GlobalDetector, LocalFilter, ModalBasis,
     MotionExchange, NodeSettings, Responses, SampleExchange, Station, StationSettings, Weights,
@@ -51,6 +52,12 @@ impl FusionPlan {
     #[must_use]
     pub fn feedback(&self) -> FeedbackRule {
         self.feedback
+    }
+
+    /// Tells whether covariances travel as variances alone.
+    #[must_use]
+    pub fn sends_variances(&self) -> bool {
+        self.covariance == CovarianceScheme::Identity
     }
 
     /// Tells whether every node is told what each of the others has sent of the motion, or of its samples.
@@ -142,6 +149,7 @@ impl Structure {
                 rule: plan.rule,
                 feedback: plan.feedback,
                 motion: self.motion_exchange()?,
+                same_instant: 0.5 * plan.rate_hz / self.sampling_rate_hz,
                 detector: plan.detector,
                 stale_periods: plan.stale_periods,
                 healthy: self.healthy_limits(),
@@ -195,6 +203,16 @@ impl Structure {
         })
     }
 
+    /// Returns the exponents of the units (powers of two, in SI units) in which a node tells its samples, by its observations; none where
+    /// nodes tell no samples.
+    #[must_use]
+    pub fn told_units(&self, position: usize) -> Vec<i16> {
+        match self.motion_exchange() {
+            Ok(MotionExchange::Samples(exchange)) => exchange.unit_exponents(position).to_vec(),
+            Ok(_) | Err(_) => Vec::new(),
+        }
+    }
+
     /// Returns displacements and velocities (2 N_d; m, rad, m/s, rad/s) of a motion that is fused in modes; `None` where none is.
     #[must_use]
     pub fn extract_motion(&self, motion: &CompressedMotion) -> Option<DVector<f64>> {
@@ -216,34 +234,43 @@ impl Structure {
                 MotionExchange::Responses(self.nodes.iter().map(|node| self.responses(node)).collect())
             }
             MotionPlan::Samples(instants) => {
-                MotionExchange::Samples(SampleExchange::new(&self.observations_by_node(), instants))
+                let exchange = SampleExchange::new(&self.observations_by_node(), instants);
+                MotionExchange::Samples(exchange.rounded_to(self.sample_units()))
             }
         })
     }
 
-    /// Keeps modes in the order of frequency up to the number asked for, or until they carry 95 % of the mass in every direction
-    /// of the excitation, Huang & Yuen (2023), chapter 6: the first modes alone can miss the one that matters.
+    /// Keeps the modes that the excitation sets most mass going in, as many as asked for, or until they carry 95 % of it in every
+    /// direction, Huang & Yuen (2023), chapter 6: the first modes by frequency can miss the one that matters.
     fn modal_basis(&self, asked: Option<usize>) -> Option<(ModalBasis, f64)> {
-        let modes = self.nominal_modes()?;
+        let shapes = self.nominal_modes()?.shapes;
         let mass = self.system.mass.to_dense();
-        let missed = |count: usize| -> Option<f64> {
-            let basis = ModalBasis::new(modes.shapes.columns(0, count).into_owned(), &mass).ok()?;
-            let grounds = self.excitations.iter().filter_map(|excitation| match &excitation.action {
+        let all = ModalBasis::new(shapes.clone(), &mass).ok()?;
+        let shares: Vec<Vec<f64>> = self
+            .excitations
+            .iter()
+            .filter_map(|excitation| match &excitation.action {
                 Action::Ground { influence } => Some(DVector::from_column_slice(influence)),
                 Action::Force { .. } | Action::ForceField(_) => None,
-            });
-            let shares = grounds.map(|influence| basis.effective_mass_shares(&influence, &mass).iter().sum::<f64>());
-            Some(shares.fold(0.0, |worst: f64, share| worst.max(1.0 - share)))
+            })
+            .map(|influence| all.effective_mass_shares(&influence, &mass))
+            .collect();
+        let missed = |kept: &[usize]| {
+            let of_direction = |shares: &Vec<f64>| 1.0 - kept.iter().map(|mode| shares[*mode]).sum::<f64>();
+            shares.iter().map(of_direction).fold(0.0, f64::max)
         };
-        let all = modes.shapes.ncols();
+        // in whole parts of a million: modes that carry nothing stay in the order of frequency
+        let carried = |mode: usize| shares.iter().map(|shares| (shares[mode] * 1e6).round()).fold(0.0, f64::max);
+        let mut order: Vec<usize> = (0..shapes.ncols()).collect();
+        order.sort_by(|one, other| carried(*other).total_cmp(&carried(*one)));
         let count = match asked {
-            Some(count) => count.min(all),
-            None => (1..=all).find(|count| {
-                missed(*count).is_some_and(|missed| missed <= spandrel_filter::fusion::compression::MISSED_MASS)
-            })?,
+            Some(count) => count.min(order.len()),
+            None => (1..=order.len()).find(|count| missed(&order[..*count]) <= MISSED_MASS)?,
         };
-        let basis = ModalBasis::new(modes.shapes.columns(0, count).into_owned(), &mass).ok()?;
-        Some((basis, missed(count)?))
+        order.truncate(count);
+        order.sort_unstable();
+        let basis = ModalBasis::new(shapes.select_columns(&order), &mass).ok()?;
+        Some((basis, missed(&order)))
     }
 
     /// Returns the displacements, velocities and strains that a node measures, with the rates of the first and the last.

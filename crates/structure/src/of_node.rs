@@ -100,6 +100,13 @@ impl Structure {
         (0..self.nodes.len()).map(of).collect()
     }
 
+    /// Returns the exponents of the units in which nodes tell their samples, by observation.
+    pub(crate) fn sample_units(&self) -> Vec<i16> {
+        let channels: Vec<&crate::Channel> = self.nodes.iter().flat_map(|node| node.channels()).collect();
+        let exponent = |channel: &usize| spandrel_filter::fusion::unit_exponent(channels[*channel].noise_std());
+        self.observation_channels.iter().map(exponent).collect()
+    }
+
     /// Returns the numbers of the channels of a node, in the whole structure.
     fn channels_of(&self, position: usize) -> std::ops::Range<usize> {
         let first: usize = self.nodes[..position].iter().map(|node| node.channels().len()).sum();

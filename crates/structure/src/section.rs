@@ -442,11 +442,15 @@ impl<'t> Section<'t> {
 }
 
 /// What a name may look like: it becomes one chunk of a key expression.
-const NAME_RULE: &str = "must be a name of lower-case letters, digits and hyphens";
+const NAME_RULE: &str = "must be a name of 1 to 64 lower-case letters, digits and hyphens";
 
-/// Tells whether `name` can be one chunk of a key expression: `[a-z0-9-]+`.
+/// Longest name (bytes): key expressions travel with every message.
+const LONGEST_NAME: usize = 64;
+
+/// Tells whether `name` can be one chunk of a key expression: `[a-z0-9-]{1,64}`.
 pub(crate) fn is_name(name: &str) -> bool {
-    !name.is_empty() && name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
+    (1..=LONGEST_NAME).contains(&name.len())
+        && name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
 }
 
 fn choice_rule<T>(choices: &[(&str, T)]) -> String {

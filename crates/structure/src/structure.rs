@@ -18,6 +18,8 @@ use crate::record_map::RecordMap;
 use crate::settings::{BandLimit, IngestSettings};
 use crate::simulation_plan::SimulationPlan;
 use nalgebra::{DMatrix, DVector};
+use std::fs::File;
+use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
 
@@ -52,14 +54,22 @@ pub struct Structure {
     pub(crate) simulation: SimulationPlan,
 }
 
+/// Largest structure file (bytes): a thousand storeys with a node each take less than one of the 16 MiB.
+const MAX_BYTES: u64 = 16 << 20;
+
 impl Structure {
     /// Reads a structure file, and the matrices that it names.
     ///
     /// # Errors
     /// When the file cannot be read, or with all its mistakes.
     pub fn read(path: &Path) -> Result<Self, StructureError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| StructureError::Unreadable { path: path.to_owned(), source })?;
+        let unreadable = |source| StructureError::Unreadable { path: path.to_owned(), source };
+        let mut text = String::new();
+        // what is no file, such as a device, states no length and need not end
+        File::open(path).map_err(unreadable)?.take(MAX_BYTES + 1).read_to_string(&mut text).map_err(unreadable)?;
+        if text.len() as u64 > MAX_BYTES {
+            return Err(StructureError::TooLarge { path: path.to_owned(), most: MAX_BYTES });
+        }
         Self::parse(&text, path)
     }
 
@@ -93,6 +103,22 @@ impl Structure {
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
+    }
+
+    /// Returns what an identification rests on, as text that changes with it: the file without its comments, alert rules,
+    /// simulation, record table and description, and the matrices that it names.
+    #[must_use]
+    pub fn identification_basis(&self) -> String {
+        let mut table: toml::Table = self.text.parse().unwrap_or_default(); // it has been read before
+        for of_others in ["alert", "simulation", "record"] {
+            table.remove(of_others);
+        }
+        if let Some(structure) = table.get_mut("structure").and_then(toml::Value::as_table_mut) {
+            structure.remove("description");
+        }
+        let kind = table.get("model").and_then(|model| model.get("kind")).and_then(toml::Value::as_str);
+        let matrices = if kind == Some("matrices") { format!("{:?}", self.system) } else { String::new() };
+        format!("{table}{matrices}")
     }
 
     /// Returns the rate of the frames (Hz).

@@ -122,6 +122,11 @@ impl Mean {
     }
 }
 
+/// Least of some shares, at most 1; not a number where one of them is none, which no requirement is met by.
+pub(crate) fn least(shares: impl Iterator<Item = f64>) -> f64 {
+    shares.fold(1.0, |least: f64, share| if least.is_nan() || share.is_nan() { f64::NAN } else { least.min(share) })
+}
+
 /// Independent numbers, uniform between 0 and 1.
 #[derive(Debug, Clone)]
 pub(crate) struct Uniform(ChaCha8Rng);

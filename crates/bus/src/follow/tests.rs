@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::message::{FrameBlock, Header};
 use crate::ring::Ring;
-use crate::testing::frames;
+use crate::testing::{frames, push};
 
 /// A source with its ring, a reader, and what the reader has got.
 struct Rig {
@@ -28,7 +28,7 @@ impl Rig {
 
     fn put(&mut self, count: u64) -> FrameBlock {
         let block = frames(1, self.ring.next(), count);
-        self.ring.push(block.clone()).unwrap();
+        push(&mut self.ring, &block).unwrap();
         block
     }
 
@@ -200,7 +200,7 @@ fn a_lost_end_without_items_is_found_when_idle() {
     rig.live(first);
     let mut end = frames(1, 1, 0);
     end.state = StreamState::Ended;
-    rig.ring.push(end).unwrap();
+    push(&mut rig.ring, &end).unwrap();
     rig.settle();
     rig.settle();
     let ends = rig.got.iter().filter(|delivery| match delivery {
@@ -436,7 +436,7 @@ fn an_answer_to_what_was_asked_before_a_block_came_says_nothing_of_it() {
 fn of_a_source_that_keeps_nothing_only_what_is_lost_is_missing() {
     const BLOCKS_PER_FAILURE: u64 = 28; // 40 per second, while missing items are given up within 5.5 s
     let mut rig = Rig::new(Start::Beginning, 100, 10);
-    rig.ring.push(frames(1, 0, 1000)).unwrap(); // before the reader came
+    push(&mut rig.ring, &frames(1, 0, 1000)).unwrap(); // before the reader came
     for round in 0..20 {
         for block in 0..BLOCKS_PER_FAILURE {
             let block_is_lost = round == 12 && block == 3;

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::block::continues;
 use super::{
-    Block, Format, Header, MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, Malformed, Message, StreamState, check_count,
-    check_finite, check_finite_or_missing,
+    Block, Format, Header, MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, Malformed, Message, StreamState, bounded,
+    check_count, check_finite, check_finite_or_missing,
 };
 use crate::grid::TimeGrid;
 
@@ -77,6 +77,7 @@ pub struct EstimateBlock {
     /// Observation rows per estimate.
     pub channels: u16,
     /// One estimate per frame.
+    #[serde(deserialize_with = "bounded::list::<_, _, MAX_ITEMS>")]
     pub estimates: Vec<Estimate>,
     /// Whether more estimates follow this block.
     pub state: StreamState,

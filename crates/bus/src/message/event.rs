@@ -17,9 +17,11 @@ pub enum EventKind {
     Unidentified,
     /// Another model class leads.
     LeadingClass,
-    /// A node is no longer waited for.
+    /// A node disagrees with the others and is left out.
     NodeExcluded,
-    /// A node is taken back.
+    /// Nothing comes of a node that could be fused, or no node is there any more.
+    NodeSilent,
+    /// A node is taken back, or is heard again.
     NodeBack,
     /// A channel is no longer used.
     ChannelExcluded,

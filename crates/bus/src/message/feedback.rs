@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::local::{MotionNumbers, check_density, check_motion};
-use super::{Format, Header, MAX_CHANNELS, Malformed, Message, check_count};
+use super::local::{MotionNumbers, ToldMotion, check_density, check_motion};
+use super::{Format, Header, MAX_CHANNELS, Malformed, Message, bounded, check_count};
 
 /// The answer to one message of a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -22,13 +22,14 @@ pub struct FeedbackMessage {
     pub covariance: Vec<f64>,
     /// The fused motion, where motion is sent in modes.
     pub motion: Option<MotionNumbers>,
-    /// By node in the order of the file: its responses, where these are exchanged.
-    pub responses: Vec<Option<MotionNumbers>>,
+    /// By node in the order of the file: its responses or samples, where these are exchanged.
+    #[serde(deserialize_with = "bounded::list::<_, _, MAX_CHANNELS>")]
+    pub responses: Vec<Option<ToldMotion>>,
 }
 
 impl Message for FeedbackMessage {
     const TYPE: &'static str = "feedback";
-    const VERSION: u16 = 1;
+    const VERSION: u16 = 2;
     const FORMAT: Format = Format::Postcard;
 
     fn check(&self) -> Result<(), Malformed> {
@@ -37,7 +38,7 @@ impl Message for FeedbackMessage {
             check_motion(motion)?;
         }
         check_count("responses", self.responses.len(), 0, MAX_CHANNELS)?;
-        self.responses.iter().flatten().try_for_each(check_motion)?;
+        self.responses.iter().flatten().try_for_each(ToldMotion::check)?;
         self.header.check(1)
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Format, Malformed, Message, check_finite, check_range, check_text};
+use super::{Format, MAX_CHANNELS, Malformed, Message, bounded, check_finite, check_range, check_text};
 use crate::name::Name;
 
 /// How plausible one class is.
@@ -33,6 +33,7 @@ pub struct ModelClassDisplay {
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,
     /// The classes that compete.
+    #[serde(deserialize_with = "bounded::list::<_, _, MAX_CHANNELS>")]
     pub classes: Vec<ClassPlausibility>,
     /// The most plausible one at this frame.
     pub leading: String,

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Format, Malformed, Message, check_count, check_finite, check_text};
+use super::{Format, Malformed, Message, bounded, check_count, check_finite, check_text};
 use crate::name::Name;
 
 /// Most reasons in one message: they come from a closed set.
@@ -16,15 +16,15 @@ const MAX_REASONS: usize = 64;
 pub enum NodeHealth {
     /// It is part of the fusion.
     Used,
-    /// It has sent nothing that could be fused.
+    /// It has sent nothing that could be fused, or only what it predicts without samples.
     Silent,
     /// It disagrees with the others and is left out.
     Excluded,
-    /// Its samples have ended.
+    /// Its samples have ended, or no node is there any more.
     Ended,
 }
 
-/// Put after each fusion, for each node.
+/// Put after each fusion, for each node, and once more when no node is there any more.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NodeDisplay {
     /// The structure.
@@ -41,6 +41,10 @@ pub struct NodeDisplay {
     pub distance_limit: Option<f64>,
     /// Time since which it has been left out without a break, ns.
     pub excluded_since_ns: Option<i64>,
+    /// Time of the first fusion of those without a break for which it had sent nothing that could be fused, ns.
+    pub silent_since_ns: Option<i64>,
+    /// Time of its last message, ns: when it came, by the station's clock, or of its last sample where samples are replayed.
+    pub heard_ns: Option<i64>,
     /// Share of the fusions in which it was left out.
     pub excluded_share: f64,
     /// Messages taken.
@@ -50,6 +54,7 @@ pub struct NodeDisplay {
     /// Bytes of payload sent to it.
     pub bytes_sent: u64,
     /// Messages refused, by reason.
+    #[serde(deserialize_with = "bounded::counts::<_, MAX_REASONS>")]
     pub refused: BTreeMap<String, u64>,
     /// Times its filter has started anew.
     pub restarts: u64,
@@ -57,7 +62,7 @@ pub struct NodeDisplay {
 
 impl Message for NodeDisplay {
     const TYPE: &'static str = "node";
-    const VERSION: u16 = 1;
+    const VERSION: u16 = 2;
     const FORMAT: Format = Format::Json;
 
     fn check(&self) -> Result<(), Malformed> {

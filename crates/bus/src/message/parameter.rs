@@ -67,7 +67,8 @@ impl ParameterDisplay {
     }
 }
 
-fn probability_below(threshold: f64, mean: f64, std: f64) -> f64 {
+/// Probability that a Gaussian variable lies below a threshold.
+pub(super) fn probability_below(threshold: f64, mean: f64, std: f64) -> f64 {
     if std > 0.0 {
         0.5 * libm::erfc((mean - threshold) / (std * std::f64::consts::SQRT_2))
     } else if mean < threshold {

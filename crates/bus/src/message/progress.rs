@@ -14,11 +14,14 @@ pub struct Progress {
     pub header: Header,
     /// Number of the first frame not yet done.
     pub done: u64,
+    /// Number of the first frame that the service would need again if it were killed now; of the same epoch. That of `done`
+    /// for a service that remembers nothing.
+    pub kept: u64,
 }
 
 impl Message for Progress {
     const TYPE: &'static str = "progress";
-    const VERSION: u16 = 1;
+    const VERSION: u16 = 2;
     const FORMAT: Format = Format::Postcard;
 
     fn check(&self) -> Result<(), Malformed> {

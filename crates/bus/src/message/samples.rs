@@ -11,6 +11,7 @@ pub type NodeState = StreamState;
 
 /// Whether samples come as they are measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Pace {
     /// As they are measured: a node that stays silent is late by the wall clock.
     Live,

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Format, Malformed, Message, check_count, check_finite, check_text};
+use super::{Format, Malformed, Message, Pace, bounded, check_count, check_finite, check_text};
 use crate::name::Name;
 
 /// Most reasons in one status: they come from a closed set.
@@ -23,14 +23,38 @@ pub struct Status {
     pub time_ns: i64,
     /// Wall clock minus time of the last item done, s; none before the first.
     pub lag_s: Option<f64>,
+    /// Whether the samples come as they are measured or from a record, of whom that is known: ingest, once some have come.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pace: Option<Pace>,
     /// Number of the first item not yet done.
     pub done: u64,
     /// What was dropped, lost or mended, counted by reason since the start.
+    #[serde(deserialize_with = "bounded::counts::<_, MAX_REASONS>")]
     pub drops: BTreeMap<String, u64>,
     /// Restarts since the start.
     pub restarts: u64,
     /// Version of the program.
     pub version: String,
+}
+
+/// Times before this are those of a record that begins at 0: three years, longer than any.
+const WITHOUT_DATES_BEFORE_NS: u64 = 100_000_000_000_000_000;
+/// A simulation whose times are as near to the clock on the wall as this is one of now.
+const OF_NOW_WITHIN_NS: u64 = 60_000_000_000;
+
+impl Status {
+    /// Whether something measured at `time_ns` is of a record or a simulation with times of its own, to which this ingest belongs:
+    /// a lag behind the clock on the wall says nothing then.
+    #[must_use]
+    pub fn is_of_a_record(&self, time_ns: i64) -> bool {
+        self.pace == Some(Pace::Replayed) && self.time_ns.abs_diff(time_ns) > OF_NOW_WITHIN_NS
+    }
+}
+
+/// Whether a time (ns since the Unix epoch) is that of a record without dates, which begins at 0.
+#[must_use]
+pub fn is_without_date(time_ns: i64) -> bool {
+    time_ns.unsigned_abs() < WITHOUT_DATES_BEFORE_NS
 }
 
 impl Message for Status {
@@ -47,5 +71,46 @@ impl Message for Status {
             check_text("drop reason", reason)?;
         }
         check_text("version", &self.version)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn status(pace: Option<Pace>) -> Status {
+        Status {
+            structure: Name::new("tower").unwrap(),
+            service: Name::new("ingest").unwrap(),
+            id: Name::new("ingest").unwrap(),
+            time_ns: 1_795_000_000_000_000_000,
+            lag_s: Some(1.0),
+            pace,
+            done: 7,
+            drops: BTreeMap::new(),
+            restarts: 0,
+            version: String::new(),
+        }
+    }
+
+    #[test]
+    fn a_record_has_times_of_its_own_and_a_simulation_of_now_has_not() {
+        let hour_ns = 3_600_000_000_000;
+        let replayed = status(Some(Pace::Replayed));
+        assert!(replayed.is_of_a_record(replayed.time_ns - hour_ns) && replayed.is_of_a_record(0));
+        assert!(!replayed.is_of_a_record(replayed.time_ns - 1_000_000_000));
+        for other in [status(Some(Pace::Live)), status(None)] {
+            assert!(!other.is_of_a_record(other.time_ns - hour_ns), "its sensors are late");
+        }
+        assert!(is_without_date(0) && is_without_date(-5) && !is_without_date(replayed.time_ns));
+    }
+
+    #[test]
+    fn a_status_without_pace_is_that_of_before() {
+        let text = String::from_utf8(status(None).encode().unwrap()).unwrap();
+        assert!(!text.contains("pace"), "{text}");
+        assert_eq!(Status::decode("application/json", text.as_bytes()).unwrap(), status(None));
+        let text = String::from_utf8(status(Some(Pace::Replayed)).encode().unwrap()).unwrap();
+        assert!(text.contains(r#""pace":"replayed""#), "{text}");
     }
 }

@@ -294,3 +294,49 @@ proptest! {
         prop_assert_eq!(front.values, whole.values);
     }
 }
+
+#[test]
+fn told_samples_come_back_to_the_bit_in_two_bytes_each() {
+    let exponents = [-9, 3];
+    let (small, large) = (2f64.powi(-9), 8.0);
+    let samples: Vec<f64> =
+        (0..50).flat_map(|i| [small * f64::from(i * 100 - 2500), large * f64::from(30 * i)]).collect();
+    let told = ToldSamples::new(&samples, &exponents);
+    assert_eq!(told.samples(), samples);
+    let bytes = postcard::to_allocvec(&told).unwrap().len();
+    assert!(bytes <= 2 * samples.len() + 6, "{bytes} bytes");
+
+    let odd =
+        [f64::NAN, 0.0, f64::INFINITY, -0.4 * large, small, -8.0 * 2f64.powi(31), -small, 8.0 * (2f64.powi(31) - 2.0)];
+    let expected = [f64::NAN, 0.0, f64::NAN, 0.0, small, f64::NAN, -small, 8.0 * (2f64.powi(31) - 2.0)];
+    for (found, expected) in ToldSamples::new(&odd, &exponents).samples().into_iter().zip(expected) {
+        assert!(found == expected || (found.is_nan() && expected.is_nan()), "{found}, not {expected}");
+    }
+}
+
+#[test]
+fn told_samples_that_cannot_be_are_refused() {
+    let local = |told: ToldSamples| LocalMessage {
+        header: header(1),
+        pace: Pace::Live,
+        density: Some(LocalDensity {
+            mean: vec![1.0],
+            covariance: vec![0.1],
+            lineage: None,
+            motion: Some(ToldMotion::Samples(told)),
+        }),
+        restarts: 0,
+        samples: 0,
+        screening: Vec::new(),
+        state: NodeState::Running,
+    };
+    assert!(local(ToldSamples::new(&[1.0; 4], &[0, 0])).check().is_ok());
+    for (samples, exponents, what) in [
+        (3, vec![0, 0], "told samples"),
+        (1, vec![], "channels of told samples"),
+        (1, vec![1001], "exponent of a unit"),
+    ] {
+        let error = local(ToldSamples::new(&vec![1.0; samples], &exponents)).check().unwrap_err().to_string();
+        assert!(error.contains(what), "{error}");
+    }
+}

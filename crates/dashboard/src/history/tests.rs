@@ -22,8 +22,8 @@ fn a_span_has_what_lies_in_it_in_as_many_points_as_asked_for() {
     let store = heard();
     let asked = Asked {
         series: Some("parameter/storey-1".into()),
-        from: Some(10.0),
-        to: Some(49.0),
+        from: Some("10.0".into()),
+        to: Some("49.0".into()),
         points: Some(20),
         ..Asked::default()
     };
@@ -37,7 +37,7 @@ fn a_span_has_what_lies_in_it_in_as_many_points_as_asked_for() {
 #[test]
 fn rows_of_a_file_have_one_time_and_empty_fields_where_nothing_was_measured() {
     let store = heard();
-    let asked = Asked { from: Some(0.0), to: Some(0.5), ..Asked::default() };
+    let asked = Asked { from: Some("0.0".into()), to: Some("0.5".into()), ..Asked::default() };
     let csv = read(&store, &Request::new(&asked, &store).unwrap()).0.csv();
     let lines: Vec<&str> = csv.lines().collect();
     assert_eq!(
@@ -49,6 +49,33 @@ fn rows_of_a_file_have_one_time_and_empty_fields_where_nothing_was_measured() {
             "1970-01-01T00:00:00.000000001Z,,,,0.5,0.01,0.75",
         ]
     );
+}
+
+#[test]
+fn numbers_of_a_file_are_short_and_read_back_as_the_same() {
+    for (value, text) in [
+        (1.0, "1"),
+        (-0.25, "-0.25"),
+        (0.1 + 0.2, "0.30000000000000004"),
+        (1e-5, "0.00001"),
+        (1.5e-300, "1.5e-300"),
+        (-2e22, "-2e22"),
+        (f64::MIN_POSITIVE, "2.2250738585072014e-308"),
+        (0.0, "0"),
+    ] {
+        assert_eq!(shortest(value), text);
+        assert_eq!(text.parse::<f64>().unwrap().to_bits(), value.to_bits(), "{text}");
+    }
+}
+
+#[test]
+fn a_span_may_be_named_by_the_calendar() {
+    let store = heard();
+    let of = |from: &str, to: &str| {
+        let asked = Asked { from: Some(from.into()), to: Some(to.into()), ..Asked::default() };
+        Request::new(&asked, &store).unwrap()
+    };
+    assert_eq!(of("1970-01-01T00:00:10Z", "1970-01-02"), of("10", "86400"));
 }
 
 #[test]
@@ -69,8 +96,14 @@ fn what_cannot_be_asked_is_refused_with_what_can() {
     assert_eq!(unknown.what, "series `parameter/storey-9` is not known");
     assert_eq!(unknown.allowed, "must be one of: parameter/storey-1, parameter/storey-2");
     assert_eq!(refused(Asked { points: Some(0), ..Asked::default() }).what, "points is 0");
-    assert!(refused(Asked { from: Some(2.0), to: Some(1.0), ..Asked::default() }).what.contains("from 2 to 1"));
-    assert!(refused(Asked { from: Some(f64::NAN), ..Asked::default() }).what.contains("NaN"));
+    assert!(
+        refused(Asked { from: Some("2.0".into()), to: Some("1.0".into()), ..Asked::default() })
+            .what
+            .contains("from 2 to 1")
+    );
+    let no_time = refused(Asked { from: Some("NaN".into()), ..Asked::default() });
+    assert_eq!(no_time.what, "from is `NaN`");
+    assert!(no_time.allowed.contains("ISO 8601 such as 2026-03-01T12:00:00Z"), "{}", no_time.allowed);
 }
 
 #[test]
@@ -81,8 +114,8 @@ fn what_lies_before_is_asked_of_the_history_and_put_before() {
     }
     let asked = |from: f64| Asked {
         series: Some("parameter/storey-1".into()),
-        from: Some(from),
-        to: Some(1_100.0),
+        from: Some(from.to_string()),
+        to: Some("1100".into()),
         points: Some(100),
         ..Asked::default()
     };

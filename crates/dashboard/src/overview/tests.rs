@@ -1,7 +1,7 @@
 use super::*;
 use crate::store::Input;
 use crate::testing::{alert, at, demo, name, parameter};
-use spandrel_bus::{Estimate, EstimateBlock, EstimateFlags, Event, Header, StreamState};
+use spandrel_bus::{Estimate, EstimateBlock, EstimateFlags, Event, Header, Pace, Progress, Status, StreamState};
 
 fn raised_among_others() -> Store {
     let mut store = demo();
@@ -97,6 +97,31 @@ fn before_anything_was_heard_nothing_is_claimed() {
     assert_eq!((found.level, found.worst, found.age_s), (Level::Learning, None, None));
 }
 
+#[test]
+fn a_structure_of_which_nothing_ever_comes_needs_attention() {
+    let mut store = demo();
+    store.handle(at(29.0));
+    assert_eq!(overview(&store).level, Level::Learning);
+    store.handle(at(31.0));
+    let found = overview(&store);
+    assert_eq!(found.level, Level::Stale);
+    assert!(found.sentence.contains("nothing has been measured"), "{}", found.sentence);
+}
+
+#[test]
+fn an_alert_that_somebody_has_seen_is_still_told_when_data_stop() {
+    let mut store = demo();
+    store.handle(at(1.0));
+    store.handle(parameter("storey-2", 1, 0.85, 1.0));
+    let seen = AlertMessage { acknowledged_by: Some("Ada".into()), ..alert("storey-2", 1, AlertState::Acknowledged) };
+    let why = seen.why.clone();
+    store.handle(Input::Alert(seen));
+    store.handle(at(60.0));
+    let found = overview(&store);
+    assert_eq!(found.level, Level::Stale);
+    assert!(found.sentence.starts_with(&why) && found.sentence.contains("nothing is measured"), "{}", found.sentence);
+}
+
 /// Four seconds of estimates, in which the third channel could never be used.
 fn estimates_without_the_third_channel() -> EstimateBlock {
     let estimate = Estimate {
@@ -128,4 +153,109 @@ fn a_channel_that_is_never_used_is_silent() {
     store.handle(Input::Estimates(estimates_without_the_third_channel()));
     let found = overview(&store).sensors;
     assert_eq!((found.alive, found.troubled), (4, vec!["floor-3".to_owned()]));
+}
+
+/// How far ingest has come: `time_ns` is that of its last frame.
+fn ingested(epoch: u64, time_ns: i64) -> Input {
+    let header = Header { source: "ingest".into(), epoch, sequence: 400, time_ns };
+    Input::Ingested(Progress { header, done: 400, kept: 400 })
+}
+
+#[test]
+fn what_is_read_again_from_the_recording_makes_no_sensor_alive_and_no_data_new() {
+    let recorded_s = 4.0;
+    for is_told_first in [true, false] {
+        let mut store = demo();
+        let word = || ingested(1, (recorded_s * 1e9) as i64);
+        let read_again = |store: &mut Store| {
+            store.handle(Input::Estimates(estimates_without_the_third_channel()));
+            store.handle(parameter("storey-1", 3_990_000_000, 1.0, 0.001));
+        };
+        if is_told_first {
+            store.handle(word());
+            read_again(&mut store);
+        } else {
+            read_again(&mut store);
+            store.handle(word());
+        }
+        let found = overview(&store);
+        assert_eq!((found.sensors.alive, found.age_s), (0, None), "told first: {is_told_first}");
+        assert_eq!(found.time_s, Some(3.99), "it is shown all the same, with its time");
+        // and the next sample counts
+        store.handle(parameter("storey-1", 4_010_000_000, 1.0, 0.001));
+        assert_eq!(overview(&store).age_s, Some(0.0));
+    }
+}
+
+#[test]
+fn a_record_that_begins_while_somebody_looks_is_live_whatever_its_dates() {
+    let mut store = demo();
+    store.handle(ingested(1, 1_700_000_000_000_000_000));
+    store.handle(ingested(2, 0));
+    store.handle(Input::Estimates(estimates_without_the_third_channel()));
+    store.handle(parameter("storey-1", 1, 1.0, 0.001));
+    let found = overview(&store);
+    assert_eq!((found.sensors.alive, found.age_s), (4, Some(0.0)));
+}
+
+#[test]
+fn the_sentence_of_an_alert_has_the_present_state_beside_it() {
+    let mut store = demo();
+    store.handle(parameter("storey-2", 1, 0.85, 1.0));
+    store.handle(Input::Alert(alert("storey-2", 1, AlertState::Raised)));
+    assert_eq!(overview(&store).now, None, "nothing newer has come");
+    store.handle(parameter("storey-2", 2, 0.97, 0.02));
+    let found = overview(&store);
+    assert_eq!(found.sentence, "storey-2 is raised");
+    let now = found.now.unwrap();
+    assert!(now.starts_with("loss 3.0 % (estimate 0.970") && now.ends_with("probability 0.023"), "{now}");
+}
+
+/// The status of ingest at `time_ns` of the clock on the wall, with samples of a record.
+fn replaying(time_ns: i64) -> Input {
+    let (structure, ingest) = (name("demo"), name("ingest"));
+    Input::Status(Status {
+        structure,
+        service: ingest.clone(),
+        id: ingest,
+        time_ns,
+        lag_s: Some(1e9),
+        pace: Some(Pace::Replayed),
+        done: 1,
+        drops: std::collections::BTreeMap::new(),
+        restarts: 0,
+        version: String::new(),
+    })
+}
+
+fn identify(lag_s: f64) -> Input {
+    let Input::Status(status) = replaying(0) else { panic!("not a status") };
+    let service = name("identify");
+    Input::Status(Status { service: service.clone(), id: service, lag_s: Some(lag_s), pace: None, ..status })
+}
+
+#[test]
+fn a_replayed_record_has_the_time_of_its_data_and_no_lag() {
+    let clock_ns = 1_795_000_000_000_000_000;
+    let lag = |time_ns: i64, word: Option<Input>| {
+        let mut store = demo();
+        word.into_iter().chain([identify(20.0)]).for_each(|status| store.handle(status));
+        store.handle(parameter("storey-1", time_ns, 1.0, 0.001));
+        let found = overview(&store);
+        (found.lag_s, found.replayed)
+    };
+    assert_eq!(lag(clock_ns - 20_000_000_000, None), (Some(20.0), false));
+    assert_eq!(lag(clock_ns - 20_000_000_000, Some(replaying(clock_ns))), (Some(20.0), false), "a simulation of now");
+    assert_eq!(lag(1_600_000_000_000_000_000, Some(replaying(clock_ns))), (None, true), "dates in the past");
+    assert_eq!(lag(5_000_000_000, None), (None, true), "no dates");
+}
+
+#[test]
+fn where_nothing_comes_there_is_no_lag_to_tell() {
+    let mut store = demo();
+    store.handle(identify(20.0));
+    store.handle(parameter("storey-1", 1_795_000_000_000_000_000, 1.0, 0.001));
+    store.handle(at(4.0));
+    let found = overview(&store);
+    assert_eq!((found.lag_s, found.age_s), (None, Some(4.0)));
 }

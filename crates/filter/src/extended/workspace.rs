@@ -28,9 +28,9 @@ pub(super) struct Workspace {
     pub(super) inputs: DMatrix<f64>,
     /// B (n × N_f)
     pub(super) input_matrix: DMatrix<f64>,
-    /// H P (N_0 × n)
+    /// H P (N_0 × n), of models that do not hand out H
     pub(super) h_p: DMatrix<f64>,
-    /// P Hᵀ (n × N_0)
+    /// P Hᵀ, then Vᵀ (n × N_0)
     pub(super) p_ht: DMatrix<f64>,
     /// Hᵀ (n × N_0), where the model hands it out
     pub(super) h_t: DMatrix<f64>,

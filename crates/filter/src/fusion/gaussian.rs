@@ -51,6 +51,12 @@ impl Gaussian {
         (0..n).flat_map(|j| (0..=j).map(move |i| (i, j))).map(|at| self.covariance[at]).collect()
     }
 
+    /// Returns the variances (n), all there is of a covariance that is diagonal.
+    #[must_use]
+    pub fn variances(&self) -> Vec<f64> {
+        self.covariance.diagonal().as_slice().to_vec()
+    }
+
     /// Returns the information form.
     ///
     /// # Errors

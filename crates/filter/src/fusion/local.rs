@@ -9,7 +9,7 @@ use super::samples::{SampleExchange, Shared};
 use crate::error::FilterError;
 use crate::extended::{ExtendedKalmanFilter, FilterState, Frame, Step};
 use crate::model::{ObservationModel, ProcessModel};
-use crate::outlier::Verdict;
+use crate::outlier::{ChannelScreen, Verdict};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -64,11 +64,13 @@ impl FeedbackRule {
 }
 
 /// From which density a node has started towards its message: what lies between is what it has learnt.
+///
+/// It names a message that was answered, because only of that the node knows that the station has it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Lineage {
-    /// Its own last message, 0 for the prior that all nodes share.
+    /// Its own last message that was answered, 0 for the prior that all nodes share.
     pub own: u64,
-    /// Messages whose feedback it has taken since then.
+    /// Messages whose feedback it has taken since it sent that one.
     pub answers: Vec<u64>,
 }
 
@@ -79,10 +81,14 @@ pub struct LocalEstimate {
     pub index: u64,
     /// Its density of the parameters.
     pub parameters: Gaussian,
-    /// From which density it started; `None` after it had to start anew, when nothing is to be counted as learnt.
+    /// From which density it started; `None` where that has no name, and nothing is to be counted as learnt: after it had to
+    /// start anew or samples were skipped, until the next answer.
     pub lineage: Option<Lineage>,
     /// Its motion, in modes, as its own responses or as samples, where motion is exchanged.
     pub motion: Option<CompressedMotion>,
+    /// Instant of its last sample, to which the motion belongs: fusion periods of measurement time, from an origin that is the
+    /// same for all nodes. The node's own count, unless who passes the message on knows the time.
+    pub instant: f64,
 }
 
 /// How a node takes part.
@@ -135,8 +141,11 @@ pub struct LocalFilter<M> {
     /// index and density of its last messages
     sent: VecDeque<(u64, Gaussian)>,
     rewind: Option<Rewind>,
-    /// what of the coming message's lineage is known; `None` after a new start
-    lineage: Option<Lineage>,
+    /// the message that the coming one starts from, 0 for the prior; `None` until an answer gives one
+    from: Option<u64>,
+    /// answers taken: message, and the last one sent by then
+    taken: VecDeque<(u64, u64)>,
+    last_sent: u64,
     last_answer: u64,
     /// what it keeps to exchange samples, where nodes do
     shared: Option<Shared>,
@@ -199,12 +208,26 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
             counter: 0,
             sent: VecDeque::with_capacity(KEPT),
             rewind: None,
-            lineage: Some(Lineage { own: 0, answers: Vec::new() }),
+            from: Some(0),
+            taken: VecDeque::with_capacity(KEPT),
+            last_sent: 0,
             last_answer: 0,
             shared,
             fused: None,
             restarts: 0,
         })
+    }
+
+    /// Says where in a fusion period the first sample lies, from 0, so that periods end when those of other nodes do. To be called
+    /// before the first sample.
+    pub fn begin_at(&mut self, sample: u64) {
+        self.counter = sample % self.settings.steps_per_period;
+        // what all share is the prior at the start of a period, which has faded since
+        let mut prior = self.filter.parameters();
+        prior.covariance *= self.filter.settings().fading.value().powf(self.counter as f64);
+        if self.filter.replace_parameters(&prior).is_err() {
+            self.from = None;
+        }
     }
 
     /// Takes one frame of the node's own observations; a filter that diverges starts anew and the frame is lost.
@@ -257,6 +280,16 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         }
     }
 
+    /// Returns how the screening of the node's own observations stands, in their order; empty where outliers are not screened.
+    #[must_use]
+    pub fn screens(&self) -> &[ChannelScreen] {
+        let all = self.filter.outliers().map_or(&[][..], |outliers| outliers.channels());
+        match &self.shared {
+            Some(shared) => all.get(shared.own.clone()).unwrap_or_default(),
+            None => all,
+        }
+    }
+
     /// Tells whether a fusion period has just ended.
     #[must_use]
     pub fn is_due(&self) -> bool {
@@ -271,7 +304,10 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         let index = self.counter / self.settings.steps_per_period;
         let mut parameters = self.filter.parameters();
         parameters.covariance = self.settings.scheme.reduce(&parameters.covariance);
-        let lineage = self.lineage.replace(Lineage { own: index, answers: Vec::new() });
+        let answers =
+            |own: u64| self.taken.iter().filter(|(_, sent)| *sent >= own).map(|(answered, _)| *answered).collect();
+        let lineage = self.from.map(|own| Lineage { own, answers: answers(own) });
+        self.last_sent = index;
         if self.sent.len() == KEPT {
             self.sent.pop_front();
         }
@@ -287,7 +323,7 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
                 CompressedMotion { mean: told.into(), variance: DVector::zeros(0) }
             }),
         };
-        LocalEstimate { index, parameters, lineage, motion }
+        LocalEstimate { index, parameters, lineage, motion, instant: index as f64 }
     }
 
     /// Takes the answer of the station to one of its messages, however late.
@@ -306,10 +342,10 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         if taken.is_err() {
             return Taken::Refused;
         }
-        if self.settings.feedback != FeedbackRule::None
-            && let Some(lineage) = &mut self.lineage
-        {
-            lineage.answers.push(feedback.answers);
+        self.from = Some(feedback.answers);
+        self.taken.retain(|(_, sent)| *sent >= feedback.answers);
+        if self.settings.feedback != FeedbackRule::None {
+            self.taken.push_back((feedback.answers, self.last_sent));
         }
         if is_within(&feedback.parameters.mean, &self.settings.healthy) {
             self.fused = Some(feedback.parameters.mean.clone());
@@ -325,10 +361,10 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         &self.filter
     }
 
-    /// Returns the number of samples taken.
+    /// Returns the number of samples in a fusion period.
     #[must_use]
-    pub fn steps(&self) -> u64 {
-        self.counter
+    pub fn steps_per_period(&self) -> u64 {
+        self.settings.steps_per_period
     }
 
     /// Returns how often the node had to start anew.
@@ -340,9 +376,13 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
     /// Forgets the motion and keeps everything else, after a gap of `steps` samples that is too long to be bridged.
     pub fn skip(&mut self, steps: u64) {
         self.counter += steps;
+        if steps > 0 {
+            // nothing has faded in between, as a station would think
+            self.from = None;
+        }
         self.filter.forget_motion();
         self.rewind = None;
-        self.shared.iter_mut().for_each(Shared::forget);
+        self.shared.iter_mut().for_each(Shared::skip);
     }
 
     /// Goes back to the instant of the message, takes the feedback there, and filters again what has come since.
@@ -475,7 +515,8 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
             let _ = self.filter.replace_parameters(&anew);
         }
         self.sent.clear();
-        (self.lineage, self.rewind) = (None, None);
+        self.taken.clear();
+        (self.from, self.rewind) = (None, None);
         self.shared.iter_mut().for_each(Shared::forget);
     }
 }

@@ -8,12 +8,27 @@
 use crate::extended::FilterState;
 use std::ops::Range;
 
+/// The part of a sensor's noise deviation that told samples are rounded to. An eighth adds 1/768 to the variance of the noise.
+const UNIT_SHARE: f64 = 0.125;
+/// Most units of a told sample.
+const MOST_UNITS: f64 = i32::MAX as f64;
+
+/// The exponent of the unit that samples of a sensor with this noise deviation are told in: the largest power of two that is no more
+/// than an eighth of it, so that a told sample is a small whole number.
+#[must_use]
+pub fn unit_exponent(noise_std: f64) -> i16 {
+    // the range of normal numbers; what is no number gets the smallest unit
+    (noise_std * UNIT_SHARE).log2().floor().clamp(-1022.0, 1000.0) as i16
+}
+
 /// Which of their samples nodes tell all others: at so many instants in a fusion period, evenly spaced, the last at its end.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SampleExchange {
     /// observations of each node in the filter of all channels
     channels: Vec<Range<usize>>,
     instants: usize,
+    /// by observation, exponent of the power of two that told samples are whole multiples of; none: told as they are
+    units: Vec<i16>,
 }
 
 impl SampleExchange {
@@ -29,7 +44,19 @@ impl SampleExchange {
                 first - count..first
             })
             .collect();
-        Self { channels, instants: instants.max(1) }
+        Self { channels, instants: instants.max(1), units: Vec::new() }
+    }
+
+    /// Rounds what is told to whole multiples of 2^exponent, by observation; missing exponents round nothing.
+    #[must_use]
+    pub fn rounded_to(self, exponents: Vec<i16>) -> Self {
+        Self { units: exponents, ..self }
+    }
+
+    /// Returns the exponents of the units in which a node tells its samples, by its observations; none if they are not rounded.
+    #[must_use]
+    pub fn unit_exponents(&self, node: usize) -> &[i16] {
+        self.units.get(self.channels(node)).unwrap_or_default()
     }
 
     /// Returns the number of nodes.
@@ -86,6 +113,8 @@ pub(super) struct Shared {
     pub(super) own: Range<usize>,
     /// samples from one instant to the next
     pub(super) every: u64,
+    /// what its samples are rounded to, by channel; fewer: as they are
+    units: Vec<f64>,
     /// what it will tell, by instant and channel
     outgoing: Vec<f64>,
     /// the period that its last message has ended
@@ -101,6 +130,7 @@ impl Shared {
         Self {
             own: exchange.channels(node),
             every: steps_per_period / exchange.instants() as u64,
+            units: exchange.unit_exponents(node).iter().map(|exponent| 2f64.powi(i32::from(*exponent))).collect(),
             outgoing: vec![f64::NAN; exchange.numbers(node)],
             ended: None,
             running: None,
@@ -114,8 +144,14 @@ impl Shared {
             return;
         }
         let start = (number / self.every - 1) as usize * self.own.len();
-        for (slot, sample) in self.outgoing.iter_mut().skip(start).zip(samples) {
-            *slot = sample;
+        let units = self.units.iter().map(Some).chain(std::iter::repeat(None));
+        for ((slot, sample), unit) in self.outgoing.iter_mut().skip(start).zip(samples).zip(units) {
+            *slot = match unit {
+                None => sample,
+                // exact: a whole number below 2^31 times a power of two
+                Some(unit) if (sample / unit).abs() <= MOST_UNITS => (sample / unit).round() * unit,
+                Some(_) => f64::NAN,
+            };
         }
     }
 
@@ -131,6 +167,12 @@ impl Shared {
     /// Forgets the periods: the filter has begun anew, or samples are missing for long.
     pub(super) fn forget(&mut self) {
         (self.ended, self.running) = (None, None);
+    }
+
+    /// Forgets the periods, and what was to be told: it is of another period than the samples to come.
+    pub(super) fn skip(&mut self) {
+        self.forget();
+        self.outgoing.fill(f64::NAN);
     }
 }
 

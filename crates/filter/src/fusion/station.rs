@@ -6,14 +6,14 @@
 use super::compression::{CompressedMotion, MotionExchange};
 use super::detector::{GlobalDetector, NodeDistance};
 use super::gaussian::{Gaussian, Information};
-use super::local::{Feedback, FeedbackRule, LocalEstimate, base, is_within};
+use super::local::{Feedback, FeedbackRule, Lineage, LocalEstimate, base, is_within};
 use crate::error::FilterError;
 use crate::fading::bound_variances_mut;
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Answers to a node that its next message may refer to.
+/// Answers to a node that its next message may refer to, besides those that its last one did.
 const ANSWERS_KEPT: usize = 16;
 
 /// How densities are fused.
@@ -74,6 +74,8 @@ pub struct StationSettings {
     pub feedback: FeedbackRule,
     /// What nodes tell one another of the motion.
     pub motion: MotionExchange,
+    /// Motion so far apart (fusion periods) still belongs to the same instant: half a sample.
+    pub same_instant: f64,
     /// The test of the nodes, if there is one.
     pub detector: Option<GlobalDetector>,
     /// A message older than this (fusion periods) is dropped, 3 by default.
@@ -118,6 +120,8 @@ pub struct NodeReport {
     pub distance: Option<f64>,
     /// It was left out.
     pub excluded: bool,
+    /// Its motion was left out: it belongs to another instant than that of most nodes.
+    pub out_of_step: bool,
 }
 
 /// What a fusion gave.
@@ -137,6 +141,8 @@ pub struct Fused {
     pub feedback: Vec<Option<Feedback>>,
     /// What came out was no sound value, and the station began anew from the prior.
     pub started_anew: bool,
+    /// The station knew less than the nodes of a past that it has not seen, and took over what they know.
+    pub adopted: bool,
 }
 
 /// A node as the station knows it.
@@ -144,12 +150,25 @@ pub struct Fused {
 struct Known {
     /// index and density of its last message
     own: Option<(u64, Gaussian)>,
-    /// answers that it may have taken since: index, what replaced, what was replaced
-    shifts: VecDeque<(u64, Gaussian, Gaussian)>,
+    /// lineage of its last message that had one
+    lineage: Option<Lineage>,
+    /// its messages that were answered, and what the answers may have made of them
+    answered: VecDeque<Answered>,
+    /// index of messages since the one that it last started from, and what it had learnt by each
+    counted: VecDeque<(u64, Information)>,
     /// what has come since the last fusion
     waiting: Option<Waiting>,
     /// fusions in which it has to be regular yet before it is used again
     suspended: u32,
+}
+
+/// A message of a node that was answered.
+#[derive(Debug, Clone)]
+struct Answered {
+    index: u64,
+    sent: Gaussian,
+    /// what has replaced it, where the node follows feedback
+    target: Option<Gaussian>,
 }
 
 #[derive(Debug, Clone)]
@@ -157,7 +176,11 @@ struct Waiting {
     /// time of the message on the station's clock (fusion periods)
     at: f64,
     learnt: Option<Information>,
+    /// it started from a density that this station does not know
+    of_unknown_past: bool,
     motion: Option<CompressedMotion>,
+    /// instant of the motion (fusion periods of measurement time)
+    instant: f64,
 }
 
 /// The state of the station: one density, and what it knows of its nodes.
@@ -225,30 +248,28 @@ impl Station {
             }
             (Some(motion), MotionExchange::Samples(exchange)) => exchange.is_sound(node, motion.mean.as_slice()),
         };
-        if !(motion_is_sound && at.is_finite()) {
+        if !(motion_is_sound && at.is_finite() && message.instant.is_finite()) {
             return Err(Refusal::NoDensity);
         }
         if known.own.as_ref().is_some_and(|(index, _)| message.index <= *index) {
             return Err(Refusal::Old);
         }
-        // what the node started from; unknown when a message of it was lost, or after it began anew
         let learnt = message.lineage.as_ref().and_then(|lineage| {
-            let own = match &known.own {
-                Some((index, density)) if *index == lineage.own => (*index, density),
-                None if lineage.own == 0 => (0, prior),
-                Some(_) | None => return None,
-            };
-            let shifts: Vec<_> =
-                known.shifts.iter().filter(|(answered, ..)| lineage.answers.contains(answered)).cloned().collect();
-            if shifts.len() != lineage.answers.len() {
-                return None;
-            }
-            let mut from = base(own, &shifts, message.index, growth).ok()?;
+            let (from, shifts) = known.start(lineage, prior)?;
+            let mut from = base(from, &shifts, message.index, growth).ok()?;
             bound(&mut from, &self.settings.variance_bound);
             let mut learnt = now.clone();
             learnt.add(-1.0, &from);
+            known.counted.retain(|(index, _)| *index > lineage.own);
+            for (index, counted) in &known.counted {
+                learnt.add(-1.0 / growth.powf((message.index - index) as f64), counted);
+            }
             Some(learnt)
         });
+        let of_unknown_past = learnt.is_none() && message.lineage.is_some();
+        if let Some(learnt) = &learnt {
+            known.count(message.index, learnt, growth);
+        }
         let before = known.waiting.take().and_then(|before| {
             let mut learnt = before.learnt?;
             learnt.fade(growth.powf((at - before.at).max(0.0)));
@@ -261,13 +282,13 @@ impl Station {
             }
             (learnt, before) => learnt.or(before),
         };
-        known.waiting = Some(Waiting { at, learnt, motion: message.motion });
+        let instant = message.instant;
+        known.waiting = Some(Waiting { at, learnt, of_unknown_past, motion: message.motion, instant });
         known.own = Some((message.index, message.parameters));
-        if let Some(lineage) = message.lineage {
-            known.shifts.retain(|(answered, ..)| *answered > lineage.answers.last().copied().unwrap_or(0));
-        } else {
-            known.shifts.clear();
+        if message.lineage.is_none() {
+            known.counted.clear();
         }
+        known.lineage = message.lineage;
         Ok(())
     }
 
@@ -314,12 +335,20 @@ impl Station {
         }
         self.judge(&heard, &mut nodes);
         let used: Vec<usize> = heard.iter().copied().filter(|index| !nodes[*index].excluded).collect();
+        let adopted = self.adopt(&used, &waiting, at);
         let mut parameters = self.add_learnt(&used, &waiting, at);
         let started_anew = !is_within(&parameters.mean, &self.settings.healthy);
         if started_anew && let Ok(prior) = self.settings.prior.information() {
             (self.fused, parameters) = (prior, self.settings.prior.clone());
         }
-        let motion = self.fuse_motion(&used, &waiting);
+        let instant = instant_of_most(&used, &waiting);
+        for index in &used {
+            nodes[*index].out_of_step = waiting[*index]
+                .as_ref()
+                .is_some_and(|waiting| waiting.motion.is_some() && !self.is_same(instant, waiting.instant));
+        }
+        let in_step: Vec<usize> = used.iter().copied().filter(|index| !nodes[*index].out_of_step).collect();
+        let motion = self.fuse_motion(&in_step, &waiting);
         let mut responses = Vec::new();
         if let MotionExchange::Responses(_) | MotionExchange::Samples(_) = self.settings.motion {
             responses.resize(nodes.len(), None);
@@ -327,8 +356,45 @@ impl Station {
                 responses[*index] = waiting[*index].as_ref().and_then(|waiting| waiting.motion.clone());
             }
         }
-        let feedback = self.answer(&heard, &parameters, used.len(), (motion.as_ref(), &responses));
-        Fused { parameters, motion, responses, used: used.len(), nodes, feedback, started_anew }
+        let feedback = self.answer(&heard, &parameters, used.len(), (motion.as_ref(), &responses), (instant, &waiting));
+        Fused { parameters, motion, responses, used: used.len(), nodes, feedback, started_anew, adopted }
+    }
+
+    fn is_same(&self, instant: f64, other: f64) -> bool {
+        (instant - other).abs() <= self.settings.same_instant
+    }
+
+    /// Takes over what nodes know of a past that this station has not seen, when most of them have one and it is more than what
+    /// the station knows; tells whether it did. A station that has been started again would answer with its prior otherwise.
+    ///
+    /// All have been answered with the same density before: their mean information counts nothing twice.
+    fn adopt(&mut self, used: &[usize], waiting: &[Option<Waiting>], at: f64) -> bool {
+        let strangers: Vec<(&Waiting, &Gaussian)> = used
+            .iter()
+            .filter_map(|index| waiting[*index].as_ref().zip(self.known[*index].own.as_ref()))
+            .filter_map(|(waiting, (_, density))| waiting.of_unknown_past.then_some((waiting, density)))
+            .collect();
+        if 2 * strangers.len() < used.len().max(1) {
+            return false;
+        }
+        let growth = self.settings.growth_per_period;
+        let mut mean = Information::none(self.settings.prior.mean.len());
+        for (waiting, density) in &strangers {
+            if let Ok(information) = density.information() {
+                let age = growth.powf((at - waiting.at).max(0.0));
+                mean.add(1.0 / (age * strangers.len() as f64), &information);
+            }
+        }
+        let Ok((theirs, ours)) = mean.gaussian().and_then(|theirs| Ok((theirs, self.fused.gaussian()?))) else {
+            return false;
+        };
+        // the sum of the variances in units of the station's own tells which of the two knows more
+        let share = theirs.covariance.diagonal().component_div(&ours.covariance.diagonal()).mean();
+        let adopts = share < 1.0 && is_within(&theirs.mean, &self.settings.healthy);
+        if adopts {
+            self.fused = mean;
+        }
+        adopts
     }
 
     fn judge(&mut self, heard: &[usize], nodes: &mut [NodeReport]) {
@@ -362,7 +428,9 @@ impl Station {
             }
             FusionRule::PriorCorrect(sharing) => {
                 // a sum that is no density is one that counts too much
-                let factors = [sharing.factor(used.len()), Sharing::All.factor(used.len())];
+                let learnt = |index: &&usize| waiting[**index].as_ref().is_some_and(|waiting| waiting.learnt.is_some());
+                let learning = used.iter().filter(learnt).count();
+                let factors = [sharing.factor(learning), Sharing::All.factor(learning)];
                 factors.into_iter().find_map(|factor| {
                     let mut sum = self.fused.clone();
                     for index in used {
@@ -412,27 +480,83 @@ impl Station {
         fused: &Gaussian,
         used: usize,
         (motion, responses): (Option<&CompressedMotion>, &[Option<CompressedMotion>]),
+        (instant, waiting): (f64, &[Option<Waiting>]),
     ) -> Vec<Option<Feedback>> {
+        let of = |node: usize| waiting[node].as_ref().map(|waiting| waiting.instant);
         let mut feedback = vec![None; self.known.len()];
         for index in heard {
+            let own_instant = of(*index).unwrap_or(instant);
+            // the motion of another instant would be taken for that of the answered message
+            let motion = motion.filter(|_| self.is_same(instant, own_instant)).cloned();
+            let same = |node: usize| of(node).is_some_and(|other| self.is_same(own_instant, other));
+            let responses = responses.iter().enumerate();
+            let responses = responses.map(|(node, told)| told.clone().filter(|_| same(node))).collect();
             let known = &mut self.known[*index];
-            let Some((answers, sent)) = &known.own else { continue };
-            if let Some(target) = self.settings.feedback.target(fused, used, sent) {
-                if known.shifts.len() == ANSWERS_KEPT {
-                    known.shifts.pop_front();
-                }
-                known.shifts.push_back((*answers, target, sent.clone()));
-            }
-            feedback[*index] = Some(Feedback {
-                answers: *answers,
-                parameters: fused.clone(),
-                nodes: used,
-                motion: motion.cloned(),
-                responses: responses.to_vec(),
-            });
+            let Some((answers, sent)) = known.own.clone() else { continue };
+            let target = self.settings.feedback.target(fused, used, &sent);
+            known.note_answer(Answered { index: answers, sent, target });
+            feedback[*index] = Some(Feedback { answers, parameters: fused.clone(), nodes: used, motion, responses });
         }
         feedback
     }
+}
+
+impl Known {
+    /// Returns what a node started from, its own message and what answers have changed since; `None` where that is not known.
+    fn start<'k>(&'k self, lineage: &Lineage, prior: &'k Gaussian) -> Option<((u64, &'k Gaussian), Vec<Shift>)> {
+        let find = |index: u64| self.answered.iter().find(|answered| answered.index == index);
+        let own = match lineage.own {
+            0 => (0, prior),
+            own => (own, &find(own)?.sent),
+        };
+        let shift = |answered: &u64| {
+            let answered = find(*answered)?;
+            Some((answered.index, answered.target.clone()?, answered.sent.clone()))
+        };
+        Some((own, lineage.answers.iter().map(shift).collect::<Option<_>>()?))
+    }
+
+    /// Keeps what a message has told, to be taken away from later ones that start from before it.
+    fn count(&mut self, index: u64, learnt: &Information, growth: f64) {
+        self.counted.push_back((index, learnt.clone()));
+        // what no later message can start in between is one sum: there are no more of them than answers
+        let mut sums: VecDeque<(u64, Information)> = VecDeque::with_capacity(self.counted.len());
+        for (index, mut learnt) in std::mem::take(&mut self.counted) {
+            let apart = |before: u64| self.answered.iter().any(|answered| (before..index).contains(&answered.index));
+            if let Some((before, sum)) = sums.back().filter(|(before, _)| !apart(*before)) {
+                learnt.add(1.0 / growth.powf((index - before) as f64), sum);
+                sums.pop_back();
+            }
+            sums.push_back((index, learnt));
+        }
+        self.counted = sums;
+    }
+
+    fn note_answer(&mut self, answered: Answered) {
+        self.answered.push_back(answered);
+        let named = self.lineage.iter().flat_map(|lineage| lineage.answers.iter().chain([&lineage.own]));
+        let named: Vec<u64> = named.copied().collect();
+        // what lies before the start of the last message is not named again
+        let first = named.iter().copied().min().unwrap_or(0);
+        self.answered.retain(|answered| answered.index >= first);
+        if self.answered.len() > ANSWERS_KEPT
+            && let Some(oldest) = self.answered.iter().position(|answered| !named.contains(&answered.index))
+        {
+            self.answered.remove(oldest);
+        }
+    }
+}
+
+/// An answer that a node has taken: index of the message, what has replaced it, what was replaced.
+type Shift = (u64, Gaussian, Gaussian);
+
+/// Returns the instant in the middle of those of the motions: a wrong clock moves it to none but the instant of another node.
+fn instant_of_most(used: &[usize], waiting: &[Option<Waiting>]) -> f64 {
+    let with_motion =
+        used.iter().filter_map(|index| waiting[*index].as_ref().filter(|waiting| waiting.motion.is_some()));
+    let mut instants: Vec<f64> = with_motion.map(|waiting| waiting.instant).collect();
+    instants.sort_by(f64::total_cmp);
+    instants.get(instants.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Keeps variances below their bounds, as the nodes do at each step.

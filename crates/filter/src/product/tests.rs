@@ -17,11 +17,11 @@ fn product_is_that_of_nalgebra() {
     // less than a register of rows, then strips of every length, full and moved up
     for rows in 1..80 {
         let (left, right) = (matrix(rows, 21), matrix(21, 9));
-        let mut out = DMatrix::repeat(rows + 2, 10, 7.0);
+        let mut out = DMatrix::repeat(rows, 10, 7.0);
         Multiplier::new().multiply_to(Left::new(&left), &packed(&right), Extent::Full, Sum::scaled(0.5), &mut out);
         let expected = 0.5 * &left * &right;
-        assert!((out.view((0, 0), (rows, 9)) - expected).amax() < 1e-14, "{rows} rows");
-        assert!(out.rows(rows, 2).iter().chain(out.column(9).iter()).all(|entry| *entry == 7.0), "{rows} rows");
+        assert!((out.columns(0, 9) - expected).amax() < 1e-14, "{rows} rows");
+        assert!(out.column(9).iter().all(|entry| *entry == 7.0), "{rows} rows");
     }
 }
 
@@ -29,7 +29,7 @@ fn product_is_that_of_nalgebra() {
 fn product_is_added_to_a_matrix() {
     let (left, right, start) = (matrix(37, 5), matrix(5, 37), matrix(37, 37));
     let mut out = DMatrix::zeros(37, 37);
-    let sum = Sum { factor: -2.0, start: Some(&start) };
+    let sum = Sum { factor: -2.0, start: Some(Piece::new(&start)) };
     Multiplier::new().multiply_to(Left::new(&left), &packed(&right), Extent::Full, sum, &mut out);
     assert!((out + 2.0 * (start + left * right)).amax() < 1e-14);
 }
@@ -73,38 +73,81 @@ fn product_of_bands_is_that_of_nalgebra_and_zero_outside() {
     assert!((out - left * cut).amax() < 1e-14);
 }
 
+/// Packs two square matrices one below the other.
+fn stacked(first: &DMatrix<f64>, second: &DMatrix<f64>) -> Right {
+    let n = first.nrows();
+    let mut right = Right::new(2 * n, n, 2);
+    let mut stack = DMatrix::zeros(2 * n, n);
+    stack.rows_mut(0, n).copy_from(first);
+    stack.rows_mut(n, n).copy_from(second);
+    right.pack_runs(&stack, |_, runs| runs.extend([0..n, n..2 * n]));
+    right
+}
+
 #[test]
-fn joined_pieces_are_multiplied_as_one_matrix_into_the_columns_asked_for() {
-    let (first, second, by_first, by_second) = (matrix(21, 9), matrix(21, 6), matrix(6, 6), matrix(6, 6).transpose());
-    let mut right = Right::new(12, 6, 2);
-    right.pack_bands([(&by_first, 2.0), (&by_second, 1.0)], 6);
-    let left = Left::joined(&first, 3..9, &second);
-    let mut out = DMatrix::repeat(21, 8, 7.0);
-    Multiplier::new().multiply_to_columns(left, &right, Extent::Full, Sum::PLAIN, 2, &mut out);
-    let expected = 2.0 * first.columns(3, 6) * by_first + second * by_second;
+fn joined_pieces_are_multiplied_as_one_matrix_into_the_columns_and_rows_asked_for() {
+    let (first, second, by_first, by_second) = (matrix(21, 9), matrix(4, 6), matrix(6, 6), matrix(6, 6).transpose());
+    let right = stacked(&by_first, &by_second);
+    // the second piece has rows 9 to 13 alone
+    let left = Left::joined(Piece::after(&first, 3), 6, Piece { first_row: 9, ..Piece::new(&second) });
+    let mut out = DMatrix::repeat(4, 8, 7.0);
+    Multiplier::new().run(Product {
+        left,
+        rows: 9..13,
+        right: &right,
+        first_column: 2,
+        extent: Extent::Full,
+        sum: Sum::PLAIN,
+        store: Store::Plain { target: Target::new(&mut out), first_row: 9 },
+    });
+    let expected = first.view((9, 3), (4, 6)) * by_first + second * by_second;
     assert!((out.columns(2, 6) - expected).amax() < 1e-13);
     assert!(out.columns(0, 2).iter().all(|entry| *entry == 7.0));
 }
 
 #[test]
-fn lower_half_and_its_mirror_make_a_symmetric_product() {
-    for n in [3, 16, 41] {
+fn symmetric_product_has_the_same_bits_in_both_triangles() {
+    for n in [3, 10, 16, 33, 41, 70] {
         let factor = matrix(n, 7);
-        let mut out = DMatrix::zeros(n, n);
+        let mut out = DMatrix::repeat(n, n, f64::NAN);
         let right = packed(&factor.transpose());
-        Multiplier::new().multiply_to(Left::new(&factor), &right, Extent::LOWER, Sum::PLAIN, &mut out);
-        Multiplier::new().mirror_lower_mut(&mut out);
+        Multiplier::new().multiply_symmetric_to(Left::new(&factor), &right, Sum::PLAIN, &mut out);
         assert!((&out - &factor * factor.transpose()).amax() < 1e-14, "{n}");
         assert_eq!(out, out.transpose(), "{n}");
     }
 }
 
 #[test]
-fn transpose_is_that_of_nalgebra() {
-    for (rows, columns) in [(19, 42), (16, 8), (5, 30)] {
-        let wide = matrix(rows, columns);
+fn transposed_product_is_that_of_nalgebra() {
+    for (rows, columns) in [(19, 42), (16, 8), (5, 30), (70, 10)] {
+        let (left, right) = (matrix(rows, 6), matrix(6, columns));
         let mut out = DMatrix::zeros(columns, rows);
-        Multiplier::new().transpose_to(&wide, &mut out);
-        assert_eq!(out, wide.transpose());
+        Multiplier::new().multiply_transposed_to(Left::new(&left), &packed(&right), Sum::PLAIN, &mut out);
+        assert!((out - (left * right).transpose()).amax() < 1e-13, "{rows} × {columns}");
     }
+}
+
+/// Rows before the split are turned, the others stand where they are and beyond the diagonal.
+#[test]
+fn split_product_is_turned_and_mirrored() {
+    let (n, split) = (40, 22);
+    let (left, right) = (matrix(n, 6), matrix(6, split));
+    let (mut turned, mut out) = (DMatrix::zeros(split, split), DMatrix::zeros(n, n));
+    for rows in strips(n) {
+        let (transposed, mirrored) = (Target::new(&mut turned), Target::new(&mut out));
+        Multiplier::new().run(Product {
+            left: Left::new(&left),
+            rows,
+            right: &packed(&right),
+            first_column: 0,
+            extent: Extent::Full,
+            sum: Sum::PLAIN,
+            store: Store::Split { transposed, split, mirrored },
+        });
+    }
+    let expected = left * right;
+    assert!((turned - expected.rows(0, split).transpose()).amax() < 1e-13);
+    assert!((out.view((split, 0), (n - split, split)) - expected.rows(split, n - split)).amax() < 1e-13);
+    let above = out.view((0, split), (split, n - split)).transpose();
+    assert_eq!(above, out.view((split, 0), (n - split, split)));
 }

@@ -6,14 +6,37 @@ use crate::discretise::Series;
 const LARGEST_LOSS: f64 = 1e-16;
 
 /// Largest degree of the polynomials, a multiple of the powers that are made beforehand, not below the longest series.
-const LARGEST_DEGREE: usize = 44;
+pub(super) const LARGEST_DEGREE: usize = 44;
 
-/// Coefficients of `q̂(z)`, `ŝ(z)` and of the integral of `s` over `h³`, for numbers `z = −g h²`.
-pub(super) struct Polynomials {
+/// `c_0 + c_1 z + …` for numbers `z = −g h²`.
+#[derive(Debug, Clone)]
+pub(super) struct Polynomial {
     pub(super) degree: usize,
-    pub(super) impulse: [f64; LARGEST_DEGREE + 1],
-    pub(super) step: [f64; LARGEST_DEGREE + 1],
-    pub(super) ramp: [f64; LARGEST_DEGREE + 1],
+    /// Zero beyond the degree.
+    pub(super) coefficients: [f64; LARGEST_DEGREE + 1],
+}
+
+impl Polynomial {
+    fn zero() -> Self {
+        Self { degree: 0, coefficients: [0.0; LARGEST_DEGREE + 1] }
+    }
+
+    /// Lowers the degree from `order` as far as nothing but rounding changes for `z` from `−range` to 0.
+    fn economise(&mut self, order: usize, range: f64) {
+        self.degree = economise_mut(&mut self.coefficients, order, range);
+    }
+}
+
+/// What a substep makes of displacements and velocities.
+pub(super) struct Polynomials {
+    /// `q̂(z)`
+    pub(super) impulse: Polynomial,
+    /// `ŝ(z)`
+    pub(super) step: Polynomial,
+    /// `1 + z ŝ(z) + (rest + slope z) q̂(z)`: the velocity after a unit velocity
+    pub(super) velocity: Polynomial,
+    /// the integral of `s` over `h³`
+    pub(super) ramp: Polynomial,
 }
 
 impl Polynomials {
@@ -22,8 +45,8 @@ impl Polynomials {
     /// `rest`, `slope`: `−(α + βg) h = rest + slope z`; `reach`: bound of `|A_s h|`; `range`: bound of `−z`. From
     /// `(A_s h)² = (rest + slope z) A_s h + z` follows `d_{k+1} = (rest + slope z) d_k + z d_{k−1}`.
     pub(super) fn new([rest, slope]: [f64; 2], reach: f64, range: f64) -> Self {
+        let [mut impulse, mut step, mut velocity, mut ramp] = std::array::from_fn(|_| Polynomial::zero());
         let zero = [0.0; LARGEST_DEGREE + 1];
-        let mut sums = Self { degree: 0, impulse: zero, step: zero, ramp: zero };
         let (mut before, mut term) = (zero, zero); // d_0, d_1
         term[0] = 1.0;
         let mut factorial = 1.0;
@@ -32,17 +55,28 @@ impl Polynomials {
             factorial *= k as f64;
             let mut next = zero;
             for j in 0..k {
-                sums.impulse[j] += term[j] / factorial;
-                sums.step[j] += term[j] / factorial / (k + 1) as f64;
-                sums.ramp[j] += term[j] / factorial / ((k + 1) * (k + 2)) as f64;
+                impulse.coefficients[j] += term[j] / factorial;
+                step.coefficients[j] += term[j] / factorial / (k + 1) as f64;
+                ramp.coefficients[j] += term[j] / factorial / ((k + 1) * (k + 2)) as f64;
                 next[j] += rest * term[j];
                 next[j + 1] += slope * term[j] + before[j];
             }
             (before, term) = (term, next);
         }
-        let degrees = [&mut sums.impulse, &mut sums.step, &mut sums.ramp].map(|c| economise_mut(c, order, range));
-        sums.degree = degrees.into_iter().max().unwrap_or(0);
-        sums
+        velocity.coefficients[0] = 1.0;
+        for j in 0..order {
+            velocity.coefficients[j] += rest * impulse.coefficients[j];
+            velocity.coefficients[j + 1] += step.coefficients[j] + slope * impulse.coefficients[j];
+        }
+        for polynomial in [&mut impulse, &mut step, &mut ramp, &mut velocity] {
+            polynomial.economise(order, range);
+        }
+        Self { impulse, step, velocity, ramp }
+    }
+
+    /// Returns the degree to which the responses are evaluated together.
+    pub(super) fn degree(&self) -> usize {
+        [&self.impulse, &self.step, &self.ramp].into_iter().map(|polynomial| polynomial.degree).max().unwrap_or(0)
     }
 }
 

@@ -1,9 +1,12 @@
 //! The blocks against the series that applies the Jacobian to columns.
 
+use super::band::{Band, Evaluate};
 use super::polynomials::economise_mut;
 use super::*;
 use crate::discretise::{self, Series, integrate_inputs, propagate_covariance, transition_mul_narrow};
 use crate::model::ProcessModel;
+use crate::product::{Extent, Left, Right, Sum};
+use nalgebra::DVector;
 
 const STEP_S: f64 = 0.01;
 const INPUTS: usize = 2;
@@ -226,20 +229,63 @@ fn doubled_steps_of_overdamped_modes_agree_with_substeps_of_the_operator() {
     assert_agreement("overdamped", &structure, 1e-11);
 }
 
+/// Narrow bands and full ones, in the same storage one after the other, and cut off where they are wider than the matrix.
 #[test]
-fn a_band_changes_nothing_but_what_is_computed() {
-    let (narrow, mut wide) = (chain(40, 3, 0.4), chain(40, 3, 0.4));
-    wide.half_bandwidth = 39;
-    let propagated = [&narrow, &wide].map(|structure| {
+fn polynomials_of_a_band_are_those_of_its_full_matrix() {
+    let mut polynomials = Polynomials::new([-0.1, 0.02], 1.2, 1.1);
+    polynomials.velocity.degree = 3;
+    polynomials.velocity.coefficients[4..].fill(0.0);
+    for (n, widths) in [(23, [2, 5, 1]), (6, [4, 1, 3])] {
+        let widest = *widths.iter().max().unwrap();
+        let room = || Band::new(n, 44 * widest, widest);
+        let (mut powers, mut sums) = ([room(), room()], [room(), room()]);
+        for width in widths {
+            let matrix =
+                DMatrix::from_fn(n, n, |i, j| if i.abs_diff(j) <= width { wave(n, n)[(i, j)] / 5.0 } else { 0.0 });
+            let mut z = Band::new(n, widest, widest);
+            z.set(&matrix, width, 1.0);
+            let [impulse, velocity] = &mut sums;
+            Multiplier::new().arch().dispatch(Evaluate {
+                z: &z,
+                powers: &mut powers,
+                polynomials: [&polynomials.impulse, &polynomials.velocity],
+                sums: [impulse, velocity],
+            });
+            for (polynomial, band) in [&polynomials.impulse, &polynomials.velocity].into_iter().zip(&sums) {
+                let mut expected = DMatrix::zeros(n, n);
+                for coefficient in polynomial.coefficients.iter().rev() {
+                    expected = &matrix * expected + DMatrix::identity(n, n) * *coefficient;
+                }
+                let x = wave(n, 1);
+                let mut product = vec![0.0; n];
+                band.mul_to(Multiplier::new().arch(), x.as_slice(), &mut product);
+                let error = (DVector::from_vec(product) - &expected * x).amax();
+                assert!(error < 1e-14, "{n}, band {width}: product off by {error:e}");
+                let mut right = Right::new(n, n, 1);
+                right.pack_with(
+                    n,
+                    |columns, runs| runs.push(near(&columns, band.half_bandwidth(), n)),
+                    |columns, run, values| band.transpose_to(2.0, columns, run, values),
+                );
+                let mut transposed = DMatrix::zeros(n, n);
+                let unit = DMatrix::identity(n, n);
+                let multiplier = Multiplier::new();
+                multiplier.multiply_to(Left::new(&unit), &right, Extent::Full, Sum::PLAIN, &mut transposed);
+                let error = (transposed - 2.0 * expected.transpose()).amax();
+                assert!(error < 1e-14, "{n}, band {width}: transpose off by {error:e}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_narrow_band_is_stepped_through_the_accelerations() {
+    for (structure, through_accelerations) in [(chain(40, 3, 0.4), true), (coupled(12, 3, 0.4), false)] {
         let form = structure.proportional_form().unwrap();
         let mut transition = Transition::new(&form);
-        transition.discretise(&form, STEP_S, structure.rate_bound(), &mut inputs(structure).0, None);
-        let mut out = DMatrix::zeros(structure.state_len(), structure.state_len());
-        transition.propagate_covariance_to(&covariance(structure), 1.0, &mut out);
-        assert_eq!(transition.half_bandwidth < 12, structure.half_bandwidth == 1);
-        out
-    });
-    assert!(worst_covariance(&propagated[0], &propagated[1]) < 1e-15);
+        transition.discretise(&form, STEP_S, structure.rate_bound(), &mut inputs(&structure).0, None);
+        assert_eq!(transition.through_accelerations, through_accelerations);
+    }
 }
 
 #[test]

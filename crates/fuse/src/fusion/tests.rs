@@ -1,5 +1,5 @@
 use super::*;
-use spandrel_bus::{LocalDensity, NodeLineage};
+use spandrel_bus::{ChannelState, LocalDensity, MaskedSpan, NodeHealth, NodeLineage, ScreenedChannel};
 use std::path::Path;
 
 const FILE: &str = include_str!("../../../../docs/examples/forty-storey-building.toml");
@@ -17,7 +17,7 @@ fn message(epoch: u64, index: u64, pace: Pace, mean: f64) -> LocalMessage {
             source: "node".into(),
             epoch,
             sequence: index,
-            time_ns: (index as i64).saturating_mul(SECOND_NS),
+            time_ns: i64::try_from(index).unwrap_or(i64::MAX).saturating_mul(SECOND_NS),
         },
         pace,
         density: Some(LocalDensity {
@@ -27,13 +27,15 @@ fn message(epoch: u64, index: u64, pace: Pace, mean: f64) -> LocalMessage {
             motion: None,
         }),
         restarts: 0,
+        samples: 250,
+        screening: Vec::new(),
         state: StreamState::Running,
     }
 }
 
 fn local(node: usize, message: LocalMessage) -> Input {
     let arrived_ns = message.header.time_ns;
-    Input::Local { node, message, bytes: 500, arrived_ns }
+    Input::Local { node, message: Box::new(message), bytes: 500, arrived_ns }
 }
 
 fn run(fusion: &mut Fusion, inputs: impl IntoIterator<Item = Input>) -> Vec<Output> {
@@ -115,7 +117,8 @@ fn live_nodes_are_fused_at_the_ticks_with_what_has_come() {
     let blocks = estimates(&outputs);
     assert_eq!(blocks.len(), 2);
     assert!(blocks.iter().all(|block| block.estimates[0].flags.prediction_only));
-    assert_eq!(outputs.iter().filter(|output| matches!(output, Output::Event(_))).count(), 1);
+    let of_station = |output: &&Output| matches!(output, Output::Event(event) if event.subject == "fuse");
+    assert_eq!(outputs.iter().filter(of_station).count(), 1);
 }
 
 #[test]
@@ -151,7 +154,7 @@ fn a_node_that_disagrees_is_left_out_and_told_of_once() {
                     assert!(spandrel_bus::Message::check(node).is_ok());
                 }
                 Output::Estimates(block) => assert!((block.estimates[0].mean[0] - 0.95).abs() < 0.06),
-                Output::Parameter(_) | Output::Feedback(..) => {}
+                Output::Parameter(_) | Output::Feedback(..) | Output::Outliers(..) => {}
             }
         }
     }
@@ -198,7 +201,7 @@ fn messages_that_come_a_third_of_a_period_early_or_late_are_heard_in_each_fusion
     for (index, jitter_ns) in (1..).zip(jitter_ns) {
         let arrived_ns = index as i64 * SECOND_NS + jitter_ns;
         let message = message(3, index, Pace::Live, 0.95);
-        fusion.handle(Input::Local { node: 0, message, bytes: 500, arrived_ns }, &mut outputs);
+        fusion.handle(Input::Local { node: 0, message: Box::new(message), bytes: 500, arrived_ns }, &mut outputs);
         fusion.handle(Input::Tick(index as i64 * SECOND_NS + SECOND_NS / 2), &mut outputs);
     }
     let heard: Vec<bool> = estimates(&outputs).iter().map(|block| !block.estimates[0].flags.prediction_only).collect();
@@ -214,7 +217,7 @@ fn a_clock_that_is_set_back_does_not_stop_the_fusions() {
         let hour_ns = if index > 3 { 3600 * SECOND_NS } else { 0 };
         let arrived_ns = 10_000 * SECOND_NS + index * SECOND_NS - hour_ns;
         let message = message(3, index as u64, Pace::Live, 0.95);
-        fusion.handle(Input::Local { node: 0, message, bytes: 500, arrived_ns }, &mut outputs);
+        fusion.handle(Input::Local { node: 0, message: Box::new(message), bytes: 500, arrived_ns }, &mut outputs);
         for tick in 0..20 {
             fusion.handle(Input::Tick(arrived_ns + tick * SECOND_NS / 20), &mut outputs);
         }
@@ -224,4 +227,245 @@ fn a_clock_that_is_set_back_does_not_stop_the_fusions() {
     let blocks = estimates(&outputs);
     let between = blocks.windows(2).map(|pair| (pair[1].header.time_ns - pair[0].header.time_ns) / half_ns);
     assert_eq!(between.collect::<Vec<_>>(), [2, 2, 1 - 2 * 3600, 2, 2]);
+}
+
+/// Broke: the station forgot all it knew when its clock was set forward.
+#[test]
+fn a_clock_that_is_set_forward_makes_nothing_older() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    let mut outputs = Vec::new();
+    for index in 1..=6 {
+        let hour_ns = if index > 3 { 3600 * SECOND_NS } else { 0 };
+        let arrived_ns = 10_000 * SECOND_NS + index * SECOND_NS + hour_ns;
+        let message = message(3, index as u64, Pace::Live, 0.95);
+        fusion.handle(Input::Local { node: 0, message: Box::new(message), bytes: 500, arrived_ns }, &mut outputs);
+        for tick in 0..20 {
+            fusion.handle(Input::Tick(arrived_ns + tick * SECOND_NS / 20), &mut outputs);
+        }
+    }
+    let blocks = estimates(&outputs);
+    assert!((5..=7).contains(&blocks.len()), "{}", blocks.len());
+    let variances: Vec<f64> = blocks.iter().map(|block| block.estimates[0].covariance[0]).collect();
+    assert!(variances.iter().all(|variance| *variance < 0.012), "{variances:?}");
+    let growth = variances.windows(2).map(|pair| pair[1] / pair[0]);
+    assert!(growth.fold(0.0, f64::max) < 1.5, "{variances:?}");
+}
+
+#[test]
+fn a_station_that_is_started_again_answers_with_what_the_nodes_know() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 8).unwrap();
+    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    let known = |index| {
+        let mut known = message(3, index, Pace::Live, 0.8);
+        let density = known.density.as_mut().unwrap();
+        density.covariance.iter_mut().for_each(|entry| *entry *= 0.01);
+        density.lineage = Some(NodeLineage { own: index - 1, answers: vec![index - 1] });
+        known
+    };
+    run(&mut fusion, (0..16).map(|node| local(node, known(500))));
+    let outputs = run(&mut fusion, [Input::Tick(501 * SECOND_NS)]);
+    let answers = outputs.iter().filter_map(|output| match output {
+        Output::Feedback(_, feedback) => Some(feedback),
+        _ => None,
+    });
+    let answers: Vec<_> = answers.collect();
+    assert_eq!(answers.len(), 16);
+    for answer in answers {
+        assert!((answer.mean[0] - 0.8).abs() < 1e-9 && answer.covariance[0] < 1e-4, "{answer:?}");
+    }
+    let events = outputs.iter().filter(|output| matches!(output, Output::Event(event) if event.subject == "fuse"));
+    assert_eq!(events.count(), 1);
+}
+
+#[test]
+fn replayed_nodes_are_fused_by_the_time_of_their_samples_not_by_their_own_counts() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    // node 15 began five periods after the others
+    for index in 1..=10_u64 {
+        let outputs = run(&mut fusion, (0..15).map(|node| local(node, message(3, index, Pace::Replayed, 0.95))));
+        assert!(estimates(&outputs).is_empty(), "{index}");
+        if index < 6 {
+            continue;
+        }
+        let mut late = message(3, index - 5, Pace::Replayed, 0.95);
+        late.header.time_ns = index as i64 * SECOND_NS;
+        let outputs = run(&mut fusion, [local(15, late)]);
+        assert_eq!(estimates(&outputs).last().map(|block| block.header.time_ns), Some(index as i64 * SECOND_NS));
+    }
+}
+
+#[test]
+fn variances_alone_are_answered_where_the_file_asks_for_no_more() {
+    let file = FILE.replace("[fusion]", "[fusion]\ncovariance = \"variances\"");
+    let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
+    let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
+    let outputs = run(&mut fusion, (0..16).map(|node| local(node, message(3, 1, Pace::Replayed, 0.95))));
+    let answered = |output: &Output| matches!(output, Output::Feedback(_, feedback) if feedback.covariance.len() == 10);
+    assert_eq!(outputs.iter().filter(|output| answered(output)).count(), 16);
+}
+
+fn events(outputs: &[Output]) -> Vec<(EventKind, &str, i64)> {
+    let events = outputs.iter().filter_map(|output| match output {
+        Output::Event(event) => Some((event.kind, event.subject.as_str(), event.time_ns / SECOND_NS)),
+        _ => None,
+    });
+    events.collect()
+}
+
+fn health(outputs: &[Output], node: usize) -> Vec<NodeHealth> {
+    let name = structure().nodes()[node].name().to_owned();
+    let states = outputs.iter().filter_map(|output| match output {
+        Output::Node(display) if display.node.as_str() == name => Some(display.state),
+        _ => None,
+    });
+    states.collect()
+}
+
+/// Live nodes send a message in each of these seconds, and the station fuses half a second later.
+fn live(
+    fusion: &mut Fusion,
+    seconds: std::ops::Range<u64>,
+    sends: impl Fn(usize, u64) -> Option<LocalMessage>,
+) -> Vec<Output> {
+    let mut outputs = Vec::new();
+    for second in seconds {
+        for node in 0..16 {
+            outputs.extend(
+                sends(node, second)
+                    .map(|message| local(node, message))
+                    .into_iter()
+                    .flat_map(|input| run(fusion, [input])),
+            );
+        }
+        outputs.extend(run(fusion, [Input::Tick(second as i64 * SECOND_NS + SECOND_NS / 2)]));
+    }
+    outputs
+}
+
+/// Broke: a node that fell silent made no event.
+#[test]
+fn a_node_that_falls_silent_and_comes_back_is_told_of_once_each() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    let silent = |second| (10..20).contains(&second);
+    let sends = |node, second| (node != 5 || !silent(second)).then(|| message(3, second, Pace::Live, 0.95));
+    let outputs = live(&mut fusion, 1..30, sends);
+    // told of in the third fusion without it, so that a message that was lost is nothing
+    assert_eq!(events(&outputs), [(EventKind::NodeSilent, "floor-8", 12), (EventKind::NodeBack, "floor-8", 20)]);
+    let displays = outputs.iter().filter_map(|output| match output {
+        Output::Node(display) if display.node.as_str() == "floor-8" => Some(display),
+        _ => None,
+    });
+    for display in displays {
+        let is_silent = silent((display.time_ns / SECOND_NS) as u64);
+        let (since_s, heard_s) =
+            (display.silent_since_ns.map(|ns| ns / SECOND_NS), display.heard_ns.unwrap() / SECOND_NS);
+        assert_eq!(display.state, if is_silent { NodeHealth::Silent } else { NodeHealth::Used });
+        assert_eq!(since_s, is_silent.then_some(10));
+        assert_eq!(heard_s, if is_silent { 9 } else { display.time_ns / SECOND_NS });
+    }
+}
+
+#[test]
+fn a_node_without_samples_is_silent_though_its_worker_sends() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    let sends = |node, second| {
+        let samples = if node == 5 && second >= 10 { 0 } else { 250 };
+        Some(LocalMessage { samples, ..message(3, second, Pace::Live, 0.95) })
+    };
+    let outputs = live(&mut fusion, 1..15, sends);
+    assert_eq!(events(&outputs), [(EventKind::NodeSilent, "floor-8", 12)]);
+    assert_eq!(health(&outputs, 5).last(), Some(&NodeHealth::Silent));
+}
+
+#[test]
+fn a_node_that_was_left_out_and_agrees_again_is_told_of() {
+    let file = FILE.replace("detector = \"none\"", "detector = \"one-at-a-time\"");
+    let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
+    let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
+    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    let mean = |node, second| if node == 4 && second < 40 { 1.9 } else { 0.95 };
+    let outputs = live(&mut fusion, 1..90, |node, second| Some(message(3, second, Pace::Live, mean(node, second))));
+    let told: Vec<_> = events(&outputs).into_iter().map(|(kind, subject, _)| (kind, subject)).collect();
+    assert_eq!(told, [(EventKind::NodeExcluded, "floor-5"), (EventKind::NodeBack, "floor-5")]);
+}
+
+/// Broke: no fusion followed the end of the last nodes, so that they stayed what they had been in the one before.
+#[test]
+fn the_last_nodes_that_end_are_told_to_have_ended() {
+    for pace in [Pace::Replayed, Pace::Live] {
+        let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+        run(&mut fusion, [Input::Present(vec![true; 16])]);
+        live(&mut fusion, 1..4, |_, second| Some(message(3, second, pace, 0.95)));
+        let ended = |_, _| {
+            let last = message(3, 3, pace, 0.95);
+            Some(LocalMessage { density: None, state: StreamState::Ended, ..last })
+        };
+        let outputs = live(&mut fusion, 4..8, ended);
+        for node in 0..16 {
+            assert_eq!(health(&outputs, node).last(), Some(&NodeHealth::Ended), "{pace:?} node {node}");
+        }
+        assert_eq!(estimates(&outputs).last().map(|block| block.state), Some(StreamState::Ended), "{pace:?}");
+        // a sensor that begins anew under the same worker is heard again
+        let outputs = live(&mut fusion, 8..10, |_, second| Some(message(3, second, pace, 0.95)));
+        assert_eq!(health(&outputs, 0).last(), Some(&NodeHealth::Used), "{pace:?}");
+    }
+}
+
+/// Broke: the station did not notice that all its nodes were gone.
+#[test]
+fn all_nodes_have_ended_once_the_tokens_of_all_are_gone() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    live(&mut fusion, 1..4, |_, second| Some(message(3, second, Pace::Live, 0.95)));
+    let one = (0..16).map(|node| node == 3).collect();
+    assert!(run(&mut fusion, [Input::Present(one)]).is_empty(), "one is there");
+    let outputs = run(&mut fusion, [Input::Present(vec![false; 16])]);
+    assert_eq!(events(&outputs), [(EventKind::NodeSilent, "fuse", 3)]);
+    assert!((0..16).all(|node| health(&outputs, node) == [NodeHealth::Ended]), "{outputs:?}");
+    // and stays so in the fusions that follow, until a node is there again
+    let outputs = live(&mut fusion, 4..12, |_, _| None);
+    assert_eq!(health(&outputs, 3), [NodeHealth::Ended; 8]);
+    assert!(events(&outputs).iter().all(|(_, subject, _)| *subject == "fuse"), "{:?}", events(&outputs));
+    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    let outputs = live(&mut fusion, 12..14, |_, second| Some(message(3, second, Pace::Live, 0.95)));
+    assert_eq!(health(&outputs, 3), [NodeHealth::Used; 2]);
+}
+
+#[test]
+fn what_nodes_tell_of_their_channels_is_passed_on_by_name() {
+    let file = FILE.replace("[fusion]", "[outliers]\n\n[fusion]");
+    let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
+    let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
+    let names: Vec<String> = fusion.screened_channels().flatten().map(ToString::to_string).collect();
+    assert_eq!((names.len(), names[1].as_str()), (32, "acceleration-1"));
+    let screened = |rejected, masked| ScreenedChannel {
+        state: ChannelState::Screening,
+        rejected,
+        screened: 500,
+        recent_share: 0.25,
+        scale: 0.5,
+        masked,
+    };
+    let span = MaskedSpan { from_ns: 5, to_ns: 9, samples: 3 };
+    let mut told = Vec::new();
+    for (index, rejected, masked) in [(1, 3, Some(span)), (2, 3, None), (3, 5, None), (4, 1, None)] {
+        let screening = vec![screened(0, None), screened(rejected, masked)];
+        told.extend(run(&mut fusion, [local(0, LocalMessage { screening, ..message(3, index, Pace::Live, 0.95) })]));
+    }
+    let of_second = told.iter().filter_map(|output| match output {
+        Output::Outliers(0, display) if display.channel.as_str() == "acceleration-1" => Some(display),
+        _ => None,
+    });
+    let found: Vec<_> = of_second.map(|display| (display.flagged, display.rejected, display.masked)).collect();
+    // the last one is of a filter that has begun anew
+    assert_eq!(found, [(3, 3, Some(span)), (0, 3, Some(span)), (2, 5, Some(span)), (1, 1, Some(span))]);
+    // of other channels than those of the node
+    run(
+        &mut fusion,
+        [local(0, LocalMessage { screening: vec![screened(0, None)], ..message(3, 5, Pace::Live, 0.95) })],
+    );
+    assert_eq!(fusion.refused(), BTreeMap::from([("refused-screening".into(), 1)]));
 }

@@ -263,3 +263,22 @@ async fn a_month_of_fifty_parameters() {
     println!("{:.0} MB, written in {written:.0?}, slowest plot {slowest:.0?}", bytes as f64 / 1e6);
     assert!(bytes < 1_000_000_000);
 }
+
+// A rollback: an earlier program must not write into tables that it does not know.
+#[tokio::test]
+async fn tables_of_a_later_version_are_refused_and_left_as_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let database = file(folder.path()).await;
+    let later = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) \
+                 VALUES (2, 'later', TRUE, x'00', 0)";
+    sqlx::query(later).execute(&database.pool).await.unwrap();
+    let earlier = Database::new(&database.address).unwrap();
+    let mut collector = Collector::new(&demo(), "spandrel");
+    let batches = ten_minutes(&mut collector);
+    let refused = earlier.write("life", &batches[..1]).await.unwrap_err();
+    assert!(matches!(refused, HistoryError::Version { .. }), "{refused:?}");
+    let told = refused.to_string();
+    assert!(told.contains("history.sqlite") && told.contains("a later version"), "{told}");
+    let rows = sqlx::query("SELECT COUNT(*) FROM series").fetch_one(&database.pool).await.unwrap();
+    assert_eq!(rows.try_get::<i64, _>(0).unwrap(), 0);
+}

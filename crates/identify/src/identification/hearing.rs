@@ -1,5 +1,7 @@
 //! Whether the excitations that should be measured are.
 
+use serde::{Deserialize, Serialize};
+
 /// How many frames on end mean something.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Spans {
@@ -10,7 +12,7 @@ pub(super) struct Spans {
 }
 
 /// Whether samples of an excitation that should be measured come, and measure something.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Hearing {
     /// zero is a measurement, however often it comes
     may_rest: bool,

@@ -1,4 +1,5 @@
 use super::*;
+use spandrel_bus::{ChannelState, MaskedSpan};
 use std::path::Path;
 
 const FILE: &str = include_str!("../../../../docs/examples/forty-storey-building.toml");
@@ -6,9 +7,11 @@ const FILE: &str = include_str!("../../../../docs/examples/forty-storey-building
 /// The fourth node at 25 Hz, which tells no motion.
 fn worker() -> NodeIdentification {
     let mut text = FILE.to_owned();
-    for (line, other) in
-        [("sampling-rate-hz = 250", "sampling-rate-hz = 25"), ("motion = \"samples\"", "motion = \"none\"")]
-    {
+    for (line, other) in [
+        ("sampling-rate-hz = 250", "sampling-rate-hz = 25"),
+        ("motion = \"samples\"", "motion = \"none\""),
+        ("samples-per-period = 50", ""),
+    ] {
         assert_eq!(text.matches(line).count(), 1, "{line}");
         text = text.replace(line, other);
     }
@@ -60,7 +63,7 @@ fn live_samples_wait_for_nothing() {
     let indices: Vec<u64> = sent.iter().map(|message| message.header.sequence).collect();
     assert_eq!(indices, [1, 2, 3, 4]);
     assert_eq!(sent[1].header.time_ns, 49 * 40_000_000);
-    assert_eq!(sent[1].density.as_ref().unwrap().lineage, Some(NodeLineage { own: 1, answers: Vec::new() }));
+    assert_eq!(sent[1].density.as_ref().unwrap().lineage, Some(NodeLineage { own: 0, answers: Vec::new() }));
     for message in &sent {
         assert!(spandrel_bus::Message::check(message).is_ok());
     }
@@ -147,4 +150,124 @@ fn answers_of_no_use_change_nothing() {
     assert_ne!(worker.filter().filter().parameters(), before);
     run(&mut worker, [NodeInput::Feedback(good)]);
     assert_eq!(worker.dropped()["stale-feedback"], 3, "a repeat");
+}
+
+/// Broke: the periods of a worker were counted from its first sample, and no two of them ended together.
+#[test]
+fn periods_end_at_whole_seconds_wherever_the_samples_begin() {
+    for (from, phase_ns) in [(10, 0), (10, 15_000_000), (24, -15_000_000), (25, 0)] {
+        let mut worker = worker();
+        let mut block = samples(from, 125, Pace::Live);
+        block.header.time_ns += phase_ns;
+        let sent = run(&mut worker, [NodeInput::Samples(block)]);
+        let first = if from == 25 { 49 } else { 24 };
+        let expected = (first..125).step_by(25).map(|number| number * 40_000_000 + phase_ns);
+        assert_eq!(sent.iter().map(|message| message.header.time_ns).collect::<Vec<_>>(), expected.collect::<Vec<_>>());
+        // also what was learnt in a part of a period counts, since the prior that nodes share
+        let prior = NodeLineage { own: 0, answers: Vec::new() };
+        assert!(sent.iter().all(|message| message.density.as_ref().unwrap().lineage.as_ref() == Some(&prior)));
+    }
+}
+
+#[test]
+fn periods_stay_in_step_while_the_clock_of_the_samples_drifts() {
+    for (drift_ns, reason) in [(4_000_000, "missing-samples"), (-4_000_000, "samples-out-of-step")] {
+        let mut worker = worker();
+        let mut sent = Vec::new();
+        for block in 0..40 {
+            let mut part = samples(block * 5, block * 5 + 5, Pace::Live);
+            part.header.time_ns += block as i64 * drift_ns;
+            sent.extend(run(&mut worker, [NodeInput::Samples(part)]));
+        }
+        // 160 ms in all: four samples
+        assert!((3..=4).contains(&worker.dropped()[reason]), "{:?}", worker.dropped());
+        for message in &sent {
+            let off_ns = (message.header.time_ns - 960_000_000).rem_euclid(1_000_000_000);
+            assert!(off_ns.min(1_000_000_000 - off_ns) <= 32_000_000, "{}", message.header.time_ns);
+        }
+        assert!(sent.len() >= 7);
+    }
+}
+
+#[test]
+fn a_sensor_that_is_started_again_keeps_to_the_same_periods() {
+    let mut worker = worker();
+    let mut again = samples(73, 150, Pace::Live);
+    again.header.epoch = 2;
+    let inputs = [samples(0, 60, Pace::Live), again].map(NodeInput::Samples);
+    let sent = run(&mut worker, inputs);
+    let ends: Vec<i64> = sent.iter().map(|message| message.header.time_ns / 40_000_000).collect();
+    assert_eq!(ends, [24, 49, 74, 99, 124, 149]);
+    let indices: Vec<u64> = sent.iter().map(|message| message.header.sequence).collect();
+    assert_eq!(indices, [1, 2, 3, 4, 5, 6]);
+    let named: Vec<bool> = sent.iter().map(|message| message.density.as_ref().unwrap().lineage.is_some()).collect();
+    assert_eq!(named, [true, true, false, false, false, false], "nothing faded while the sensor was away");
+    run(&mut worker, [answer(&sent[5])]);
+    let next = run(
+        &mut worker,
+        [{
+            let mut next = samples(150, 175, Pace::Live);
+            next.header.epoch = 2;
+            NodeInput::Samples(next)
+        }],
+    );
+    let lineage = next[0].density.as_ref().unwrap().lineage.clone();
+    assert_eq!(lineage, Some(NodeLineage { own: 6, answers: vec![6] }));
+}
+
+/// Broke: variances alone were asked for, and the whole triangle was sent.
+#[test]
+fn variances_alone_are_sent_where_the_file_asks_for_no_more() {
+    let asks = "[fusion]\ncovariance = \"variances\"";
+    assert_eq!(FILE.matches("[fusion]").count(), 1);
+    let structure = Structure::parse(&FILE.replace("[fusion]", asks), Path::new("building.toml")).unwrap();
+    let mut worker = NodeIdentification::new(&structure, 3, 5).unwrap();
+    let block = SampleBlock { sampling_rate_hz: 250.0, samples: vec![0.0; 500], ..samples(0, 0, Pace::Live) };
+    let sent = run(&mut worker, [NodeInput::Samples(block)]);
+    assert_eq!(sent[0].density.as_ref().unwrap().covariance.len(), 10);
+    assert!(spandrel_bus::Message::check(&sent[0]).is_ok());
+}
+
+/// The fourth node at 25 Hz, which screens its samples after two seconds of training.
+fn screening_worker() -> NodeIdentification {
+    let text = FILE
+        .replace("sampling-rate-hz = 250", "sampling-rate-hz = 25")
+        .replace("motion = \"samples\"", "motion = \"none\"")
+        .replace("samples-per-period = 50", "")
+        .replace("[fusion]", "[outliers]\ntraining-s = 2\nwindow-s = 40\n\n[fusion]");
+    let structure = Structure::parse(&text, Path::new("building.toml")).unwrap();
+    NodeIdentification::new(&structure, 3, 5).unwrap()
+}
+
+/// Broke: what the filter of a node rejected was told to nobody.
+#[test]
+fn rejected_samples_of_a_node_are_told_by_channel_with_its_messages() {
+    let mut worker = screening_worker();
+    let mut block = samples(0, 1000, Pace::Live);
+    // sample 500 of the second channel is a spike
+    block.samples[2 * 500 + 1] = 100.0;
+    let sent = run(&mut worker, [NodeInput::Samples(block)]);
+    assert!(sent.iter().all(|message| message.screening.len() == 2 && message.samples == 25));
+    let rejected = |period: usize, channel: usize| sent[period].screening[channel].rejected;
+    assert_eq!(rejected(20, 1), rejected(19, 1) + 1, "the spike is in the period from 500 on");
+    assert_eq!(rejected(20, 0), rejected(19, 0));
+    let at_ns = 500 * 40_000_000;
+    let span = MaskedSpan { from_ns: at_ns, to_ns: at_ns, samples: 1 };
+    assert_eq!(sent[20].screening[1].masked, Some(span));
+    assert_eq!(sent[21].screening[1].masked, None, "it is told once");
+    assert!(sent.iter().all(|message| spandrel_bus::Message::check(message).is_ok()));
+    let trained = |period: usize| sent[period].screening[1].state == ChannelState::Screening;
+    assert!(!trained(0) && trained(20));
+}
+
+#[test]
+fn a_message_says_that_it_is_of_no_samples() {
+    let mut worker = screening_worker();
+    let mut block = samples(0, 100, Pace::Live);
+    block.samples[2 * 25..2 * 75].fill(f64::NAN);
+    let sent = run(&mut worker, [NodeInput::Samples(block)]);
+    assert_eq!(sent.iter().map(|message| message.samples).collect::<Vec<_>>(), [25, 0, 0, 25]);
+    // and so it does of a gap between blocks
+    let sent = run(&mut worker, [NodeInput::Samples(samples(150, 175, Pace::Live))]);
+    assert_eq!(sent.iter().map(|message| message.samples).collect::<Vec<_>>(), [0, 0, 25]);
 }

@@ -322,7 +322,22 @@ fn cut(node: usize, record: &Record, one_by_one: bool) -> Vec<SampleBlock> {
         room -= 1;
     }
     blocks.push(ended(node, T0 + record.offset_ns + record.kept.len() as i64 * STEP, &[]));
+    let mut sequence = 0;
+    for block in &mut blocks {
+        block.header.sequence = sequence;
+        sequence = block.end();
+    }
     blocks
+}
+
+/// What the buffer of a node gives from a place on.
+fn from_place(blocks: Vec<SampleBlock>, place: NodePlace) -> Vec<SampleBlock> {
+    let after = |mut block: SampleBlock| {
+        let is_end = block.state == StreamState::Ended;
+        block.skip(place.sequence.saturating_sub(block.header.sequence).min(block.count()));
+        (block.count() > 0 || (is_end && !place.ended)).then_some(block)
+    };
+    blocks.into_iter().filter_map(after).collect()
 }
 
 proptest! {
@@ -352,6 +367,42 @@ proptest! {
         prop_assert_eq!(found.first().map(|b| b.t0_ns), expected.first().map(|b| b.t0_ns));
         prop_assert_eq!(found.last().map(|b| b.state), expected.last().map(|b| b.state));
         prop_assert_eq!(other.counts(), plain.counts());
+    }
+
+    #[test]
+    fn an_alignment_that_was_killed_goes_on_with_the_same_frames(
+        records in vec(record(), 1..4),
+        order in vec(0usize..4, 200),
+        killed_after in 0usize..200,
+    ) {
+        let channels = vec![1; records.len()];
+        let all = |node: usize| cut(node, &records[node], false);
+        let mut queues: Vec<VecDequeBlocks> = (0..records.len()).map(|node| all(node).into()).collect();
+        let mut mixed = Vec::new();
+        for node in order.into_iter().chain((0..records.len()).cycle().take(60 * records.len())) {
+            let node = node % records.len();
+            mixed.extend(queues[node].pop_front().map(|block| (node, block)));
+        }
+        let expected = feed(&mut alignment(&channels), mixed.clone());
+        mixed.truncate(killed_after);
+        let mut killed = alignment(&channels);
+        let mut found = Vec::new();
+        let mut places = vec![NodePlace { epoch: 0, sequence: 0, ended: false }; records.len()];
+        for (node, block) in mixed {
+            let before = found.len();
+            killed.handle(Input::Samples { node, block }, &mut found);
+            if found.len() > before {
+                places = killed.places(); // as they are recorded: with frames
+            }
+        }
+        let mut next = alignment(&channels);
+        if let Some(last) = found.last() {
+            next = next.going_on(last, &places);
+        }
+        let rest = (0..records.len()).flat_map(|node| from_place(all(node), places[node]).into_iter().map(move |block| (node, block)));
+        found.extend(feed(&mut next, rest.collect()));
+        prop_assert_eq!(values(&found), values(&expected));
+        prop_assert_eq!(found.last().map(|b| (b.header.epoch, b.end(), b.state)), expected.last().map(|b| (b.header.epoch, b.end(), b.state)));
     }
 }
 

@@ -38,6 +38,21 @@ fn units_become_si() {
 }
 
 #[test]
+fn unit_in_the_header_counts_unless_another_is_declared() {
+    let column = |column: &str| ChannelColumn::new("roof").with_column(column);
+    let read = |text: &str, column: ChannelColumn| rows(text, &ColumnMapping::new(vec![column]));
+    let by_file = |name: &str| column(name).in_unit_of_file(Quantity::Acceleration);
+    let found = read("time,roof [g]\n0,2\n", by_file("roof [g]").with_calibration(-1.0, 0.5).unwrap()).unwrap();
+    assert_eq!(found, [(0, vec![0.5 - 2.0 * 9.80665])], "the calibration acts after it, as with other formats");
+    let declared = column("roof (g)").with_unit("gal", Quantity::Acceleration).unwrap();
+    assert_eq!(read("time,roof (g)\n0,2\n", declared).unwrap(), [(0, vec![0.02])]);
+    assert_eq!(read("time,roof [south]\n0,2\n", by_file("roof [south]")).unwrap(), [(0, vec![2.0])]);
+    assert_eq!(read("time,roof [g]\n0,2\n", column("roof [g]")).unwrap(), [(0, vec![2.0])]);
+    let error = read("time,roof [mm]\n0,2\n", by_file("roof [mm]")).unwrap_err().to_string();
+    assert!(error.contains("roof") && error.contains("mm") && error.contains("acceleration"), "{error}");
+}
+
+#[test]
 fn empty_and_nan_fields_are_missing_samples() {
     let found = rows("time,a,b\n0,,1\n1,NaN, \n", &ColumnMapping::by_name(["a", "b"])).unwrap();
     assert!(found[0].1[0].is_nan() && found[0].1[1] == 1.0);

@@ -1,4 +1,4 @@
-//! MCAP files with JSON messages, through the crate `mcap`.
+//! MCAP files with JSON messages or the frames of a frame log, through the crate `mcap`.
 //!
 //! Every number in the messages of a topic is a channel: `topic` if a message has the field `value` alone, `topic.field` otherwise.
 //! The time of a sample is the log time of its message. A file that was cut off by a crash is read up to its last whole chunk.
@@ -10,7 +10,9 @@ use ::mcap::records::Record;
 use ::mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use serde_json::Value;
 
+use super::frames::FrameRows;
 use crate::fault::Fault;
+use crate::frame_log::FRAMES_ENCODING;
 use crate::recorded::{RecordedChannel, TimeOrigin};
 
 /// Records and chunks longer than this are refused: a damaged file may claim any length.
@@ -41,17 +43,30 @@ struct Topic {
     fields: BTreeMap<String, Vec<(i64, f64)>>,
 }
 
+/// What a person should know of a file without an end.
+const CUT_OFF: &str = "the file was cut off: it is read up to its last whole chunk";
+
+/// Reads the frames of a segment of a frame log; also returns what a person should know of the file.
+pub(crate) fn read_frames(bytes: &[u8], frames: &mut FrameRows) -> Result<Vec<String>, Fault> {
+    let mut topics = BTreeMap::new();
+    let is_whole = each_record(bytes, |place, record| take(&mut topics, frames, place, record))?;
+    Ok(if is_whole { Vec::new() } else { vec![CUT_OFF.to_owned()] })
+}
+
 /// Reads all numbers; also returns what a person should know of the file.
 pub(crate) fn read(bytes: &[u8]) -> Result<(Vec<RecordedChannel>, Vec<String>), Fault> {
     let mut topics: BTreeMap<u16, Topic> = BTreeMap::new();
-    let mut remarks = Vec::new();
-    let is_whole = each_record(bytes, |place, record| take(&mut topics, place, record))?;
+    let mut frames = FrameRows::default();
+    let is_whole = each_record(bytes, |place, record| take(&mut topics, &mut frames, place, record))?;
+    let (mut channels, mut remarks) = frames.channels();
     if !is_whole {
-        remarks.push("the file was cut off: it is read up to its last whole chunk".to_owned());
+        remarks.push(CUT_OFF.to_owned());
     }
-    let mut channels = Vec::new();
     let mut others = Vec::new();
     for topic in topics.into_values() {
+        if topic.encoding == FRAMES_ENCODING {
+            continue;
+        }
         if topic.encoding != "json" {
             others.push(format!("{} ({})", topic.name, topic.encoding));
             continue;
@@ -61,7 +76,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Vec<RecordedChannel>, Vec<String>), 
     if channels.is_empty() {
         let found =
             if others.is_empty() { "no message".to_owned() } else { format!("the topics {}", others.join(", ")) };
-        return Err(Fault::of_file("content", found, "messages in JSON with numbers"));
+        return Err(Fault::of_file("content", found, "messages in JSON with numbers, or frames"));
     }
     if !others.is_empty() {
         remarks.push(format!("topics that are not JSON are left out: {}", others.join(", ")));
@@ -102,9 +117,17 @@ fn told(error: &McapError) -> String {
     format!("wrong ({error})")
 }
 
-fn take(topics: &mut BTreeMap<u16, Topic>, place: usize, record: Record<'_>) -> Result<(), Fault> {
+fn take(
+    topics: &mut BTreeMap<u16, Topic>,
+    frames: &mut FrameRows,
+    place: usize,
+    record: Record<'_>,
+) -> Result<(), Fault> {
     match record {
         Record::Channel(channel) => {
+            if channel.message_encoding == FRAMES_ENCODING {
+                frames.take_layout(&channel.metadata)?;
+            }
             let topic = Topic {
                 name: channel.topic,
                 encoding: channel.message_encoding,
@@ -117,6 +140,9 @@ fn take(topics: &mut BTreeMap<u16, Topic>, place: usize, record: Record<'_>) -> 
             let topic = topics.get_mut(&header.channel_id).ok_or_else(|| {
                 Fault::at_byte(place, "channel of a message", header.channel_id, "one that the file states before it")
             })?;
+            if topic.encoding == FRAMES_ENCODING {
+                return frames.take(place, &data);
+            }
             if topic.encoding != "json" {
                 return Ok(());
             }

@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::record_time::TimeForm;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
 use crate::table_layout::{HEAD_BYTES, Separator, TableLayout};
-use crate::{ColumnMapping, CsvReader, ReadOptions, RecordError, RecordReader, TableUnits, TimeSource, TimeUnit};
+use crate::{ColumnMapping, CsvReader, ReadOptions, RecordError, RecordReader, TimeSource, TimeUnit};
 
 /// Rate at which rows without times are counted while they are read; it is no statement of the file.
 const COUNTING_HZ: f64 = 1.0;
@@ -52,10 +52,7 @@ pub(crate) fn read(bytes: Vec<u8>, path: &Path, options: &ReadOptions) -> Result
         samples.iter_mut().zip(row.values).for_each(|(samples, value)| samples.push(*value));
     }
     let channel = |(name, samples): (String, Vec<f64>)| {
-        let unit = match options.table_units {
-            TableUnits::InBrackets => unit_of(&name).to_owned(),
-            TableUnits::Unstated => String::new(),
-        };
+        let unit = unit_of(&name).to_owned();
         let channel = match is_counted {
             true => RecordedChannel::new(name, None, vec![Segment::new(0, samples)]),
             false => RecordedChannel::from_times(name, None, &times_ns, &samples),

@@ -101,7 +101,7 @@ fn compressed_table_is_read_by_rows_and_whole() {
 #[test]
 fn zipped_and_resampled_tables_are_read_as_the_table_itself() {
     let folder = tempfile::tempdir().unwrap();
-    // a mapping names the column as it is called; what stands in brackets is for people
+    // a mapping names the column as it is called
     let table = TABLE.replace("roof", "roof [g]");
     let (plain, zipped) = (folder.path().join("hall.csv"), folder.path().join("hall.zip"));
     std::fs::write(&plain, &table).unwrap();
@@ -118,7 +118,7 @@ fn zipped_and_resampled_tables_are_read_as_the_table_itself() {
         rows
     };
     let expected = rows(&plain, Resampling::None);
-    assert_eq!(expected[2], (20_000_000, vec![3.0]));
+    assert_eq!(expected[2], (20_000_000, vec![3.0 * 9.80665]));
     assert_eq!(rows(&zipped, Resampling::None), expected);
     assert_eq!(rows(&plain, Resampling::To { rate_hz: 100.0 }), expected, "at its own rate nothing is done");
     assert_eq!(rows(&plain, Resampling::To { rate_hz: 50.0 }).len(), 2);

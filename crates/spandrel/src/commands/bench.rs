@@ -152,9 +152,9 @@ fn measure(text: &str, path: &Path, arguments: &BenchArguments, count: usize) ->
             let watched = watched(&settings, structures)?;
             let before = Usage::now(std::process::id());
             let mut running = Running::new();
-            running.start_alert(&bus, &watched).await?;
-            running.start_identify(&bus, &watched, settings.threads, &[]).await?;
-            running.start_ingest(&bus, &watched).await?;
+            running.start_alert(&bus, &watched, None).await?;
+            running.start_identify(&bus, &watched, settings.threads, &[], None).await?;
+            running.start_ingest(&bus, &watched, None).await?;
             let processes = [std::process::id()];
             let load = tokio::select! {
                 load = time(&bus, &watched, duration, &processes, before.resident_mb) => load,

@@ -4,6 +4,7 @@ use super::run::serve_page;
 use super::watch::joining_by_default;
 use crate::cli::RunArguments;
 use crate::error::AppError;
+use crate::role_check::{Need, Work, check};
 use crate::services::{Running, block_on, interrupted, read_structures};
 use crate::settings::Settings;
 use spandrel_bus::Bus;
@@ -15,15 +16,19 @@ use spandrel_bus::Bus;
 pub fn run(arguments: &RunArguments) -> Result<(), AppError> {
     let settings = Settings::load(&arguments.service.bus)?;
     let watched = read_structures(&settings, &arguments.service.structures)?;
-    let listen = settings.dashboard.listen(&arguments.page).ok_or(AppError::NoPage)?;
-    let bus = joining_by_default(settings.bus);
+    let page = settings.dashboard.page(&arguments.page)?.ok_or(AppError::NoPage)?;
+    let config = joining_by_default(settings.bus);
     block_on(async {
-        let bus = Bus::open(&bus).await?;
+        let bus = Bus::open(&config).await?;
+        let interrupted = interrupted();
+        let structures = watched.iter().map(|watched| watched.structure.name()).collect();
+        let work = Work { subcommand: "dashboard", needs: &[Need::SHOW_A_PAGE], structures, nodes: Vec::new() };
+        check(&bus, &config, &work).await?;
         let mut running = Running::new();
-        serve_page(&mut running, &bus, &watched, &listen, &arguments.page).await?;
+        serve_page(&mut running, &bus, &watched, &page, &arguments.page).await?;
         let failed = tokio::select! {
             failed = running.failed() => failed,
-            () = interrupted() => Ok(()),
+            () = interrupted => Ok(()),
         };
         let stopped = running.stop().await;
         bus.close().await?;

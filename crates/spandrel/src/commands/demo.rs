@@ -8,7 +8,10 @@ use crate::error::AppError;
 use crate::services::{Running, Watched, block_on, epoch_now, interrupted};
 use crate::settings::Settings;
 use crate::summary::{Collector, Summary};
-use spandrel_bus::{AlertMessage, AlertState, Bus, Delivery, EstimateBlock, Service, Start, StreamState};
+use spandrel_bus::{
+    AlertMessage, AlertState, Bus, Delivery, EstimateBlock, Event, EventKind, Keys, NodeDisplay, OutlierDisplay,
+    Service, Start, StreamState, Subscription,
+};
 use spandrel_structure::Structure;
 use std::io::IsTerminal;
 use std::path::Path;
@@ -26,6 +29,9 @@ const DISTRIBUTED_NAME: &str = "docs/examples/demo-distributed.toml";
 /// Alert messages that wait for the collector; far more than a demo makes.
 const ALERTS_WAITING: usize = 4096;
 
+/// Messages on nodes and their channels that wait for the collector, which takes them with each block of estimates.
+const NODES_WAITING: usize = 1 << 14;
+
 /// Runs the demo and prints what came of it.
 ///
 /// # Errors
@@ -42,16 +48,16 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
     block_on(async {
         let bus = Bus::open(&settings.bus).await?;
         let mut running = Running::new();
-        let listen = settings.dashboard.listen(&arguments.page).filter(|_| !arguments.headless);
-        let page = match listen {
-            Some(listen) => Some(serve_page(&mut running, &bus, &watched, &listen, &arguments.page).await?),
+        let page = settings.dashboard.page(&arguments.page)?.filter(|_| !arguments.headless);
+        let page = match page {
+            Some(page) => Some(serve_page(&mut running, &bus, &watched, &page, &arguments.page).await?),
             None => None,
         };
-        running.start_alert(&bus, &watched).await?;
+        running.start_alert(&bus, &watched, None).await?;
         running.start_fuse(&bus, &watched).await?;
-        running.start_identify(&bus, &watched, settings.threads, &[]).await?;
+        running.start_identify(&bus, &watched, settings.threads, &[], None).await?;
         if watched.iter().any(|watched| watched.structure.fusion().is_none()) {
-            running.start_ingest(&bus, &watched).await?;
+            running.start_ingest(&bus, &watched, None).await?;
         }
         let shown = !arguments.headless && std::io::stdout().is_terminal();
         let address = page.as_deref();
@@ -135,6 +141,10 @@ async fn collect(bus: &Bus, watched: &Watched, arguments: &DemoArguments) -> Res
     let settings = bus.reading(Start::Beginning);
     let estimates = bus.follow::<EstimateBlock>(keys.estimates(), keys.estimates_buffer(), settings).await?;
     let alerts = bus.subscribe::<AlertMessage>(keys.all_alerts(), ALERTS_WAITING).await?;
+    let nodes = match structure.fusion() {
+        Some(_) => Some(NodeNews::listen(bus, keys).await?),
+        None => None,
+    };
     let mut decided = bus.watch_progress(keys.progress(Service::Alert)).await?;
     let mut collector = Collector::new(structure);
     loop {
@@ -153,13 +163,49 @@ async fn collect(bus: &Bus, watched: &Watched, arguments: &DemoArguments) -> Res
                 tell_alert(&message, &mut collector, arguments)?;
             },
         }
+        if let Some(nodes) = &nodes {
+            nodes.gather(&mut collector, arguments)?;
+        }
     }
     let frames = collector.frames();
     decided.wait_for(|progress| progress.done >= frames).await;
     while let Ok((_, message)) = alerts.messages().try_recv() {
         tell_alert(&message, &mut collector, arguments)?;
     }
+    if let Some(nodes) = &nodes {
+        nodes.gather(&mut collector, arguments)?;
+    }
     Ok(collector.finish())
+}
+
+/// What is said of nodes that identify for themselves.
+struct NodeNews {
+    nodes: Subscription<NodeDisplay>,
+    outliers: Subscription<OutlierDisplay>,
+    events: Subscription<Event>,
+}
+
+impl NodeNews {
+    async fn listen(bus: &Bus, keys: &Keys) -> Result<Self, AppError> {
+        Ok(Self {
+            nodes: bus.subscribe(keys.all_nodes(), NODES_WAITING).await?,
+            outliers: bus.subscribe(keys.all_outliers(), NODES_WAITING).await?,
+            events: bus.subscribe(keys.event(), ALERTS_WAITING).await?,
+        })
+    }
+
+    /// Collects what has come, and tells events of nodes at once where nothing else shows them.
+    fn gather(&self, collector: &mut Collector, arguments: &DemoArguments) -> Result<(), AppError> {
+        self.nodes.messages().try_iter().for_each(|(_, display)| collector.take_node(&display));
+        self.outliers.messages().try_iter().for_each(|(_, display)| collector.take_outliers(&display));
+        for (_, event) in self.events.messages().try_iter() {
+            let of_node = matches!(event.kind, EventKind::NodeSilent | EventKind::NodeExcluded | EventKind::NodeBack);
+            if of_node && arguments.headless {
+                print(&format!("{}: {} ({})\n", event.subject, event.what, event.why))?;
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Collects an alert, and tells it at once where nothing else shows it.

@@ -4,6 +4,7 @@ use super::progress;
 use crate::cli::ReplayArguments;
 use crate::error::AppError;
 use crate::record_source;
+use crate::role_check::{Need, Work, check};
 use crate::services::{block_on, epoch_now, interrupted};
 use crate::settings::Settings;
 use spandrel_bus::Bus;
@@ -22,10 +23,15 @@ pub fn run(arguments: ReplayArguments) -> Result<(), AppError> {
     let bar = progress::bar("replaying", record_source::expected_rows(&arguments.record));
     block_on(async {
         let bus = Bus::open(&settings.bus).await?;
+        let nodes = structure.nodes().iter().map(|node| node.name()).collect();
+        let work =
+            Work { subcommand: "replay", needs: &[Need::PUT_SAMPLES], structures: vec![structure.name()], nodes };
+        check(&bus, &settings.bus, &work).await?;
         let sensor = SensorSettings {
             speed: arguments.speed.into(),
             epoch: epoch_now(),
             wait_for: super::simulate::readers(&structure),
+            resume: arguments.resume,
         };
         let nodes = NodePlan::of(&structure, Clocks::Right).map_err(SensorError::from)?;
         let service = SensorService::start(nodes, structure.sampling_rate_hz(), &bus, keys, sensor).await?;

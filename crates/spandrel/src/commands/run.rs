@@ -3,10 +3,15 @@
 use super::print;
 use crate::cli::{PageArguments, ServiceArguments};
 use crate::error::AppError;
+use crate::role_check::{Need, Work, check};
 use crate::services::{Running, Watched, block_on, interrupted, read_structures};
 use crate::settings::Settings;
+use crate::state::State;
+use crate::supervision::{Hangups, feed_watchdog, tell_systemd};
+use sd_notify::NotifyState;
 use spandrel_bus::Bus;
-use spandrel_dashboard::Listen;
+use spandrel_dashboard::PageSettings;
+use spandrel_history::Address;
 use std::process::{Command, Stdio};
 use tracing::{info, warn};
 
@@ -47,6 +52,19 @@ impl Services {
     pub const HISTORY: Self = Self { history: true, ..Self::NONE };
     /// The notices only.
     pub const NOTIFY: Self = Self { notify: true, ..Self::NONE };
+
+    /// The subcommand that runs them.
+    fn name(self) -> &'static str {
+        let alone = [
+            (Self::INGEST, "ingest"),
+            (Self::IDENTIFY, "identify"),
+            (Self::FUSE, "fuse"),
+            (Self::ALERT, "alert"),
+            (Self::HISTORY, "history"),
+            (Self::NOTIFY, "notify"),
+        ];
+        alone.into_iter().find(|(services, _)| *services == self).map_or("run", |(_, name)| name)
+    }
 }
 
 /// Runs services without a page until Ctrl-C or SIGTERM.
@@ -57,7 +75,94 @@ pub fn one(arguments: &ServiceArguments, services: Services, nodes: &[String]) -
     run(arguments, services, nodes, &PageArguments::default())
 }
 
-/// Runs the services until Ctrl-C or SIGTERM.
+/// What configuration and structure files ask for.
+struct Plan {
+    settings: Settings,
+    watched: Vec<Watched>,
+    served: Option<PageSettings>,
+    database: Option<Address>,
+    state: Option<State>,
+}
+
+impl Plan {
+    fn read(arguments: &ServiceArguments, services: Services, page: &PageArguments) -> Result<Self, AppError> {
+        let settings = Settings::load(&arguments.bus)?;
+        let watched = read_structures(&settings, &arguments.structures)?;
+        if services == Services::FUSE && watched.iter().all(|watched| watched.structure.fusion().is_none()) {
+            return Err(AppError::NothingToFuse);
+        }
+        let database = if services.history { settings.history.address()? } else { None };
+        if services == Services::HISTORY && database.is_none() {
+            return Err(AppError::NoHistory);
+        }
+        if services == Services::NOTIFY && settings.notify.is_empty() {
+            return Err(AppError::NobodyToTell);
+        }
+        settings.notify.check()?;
+        let served = if services.dashboard { settings.dashboard.page(page)? } else { None };
+        let remembers = services.ingest || services.identify || services.alert;
+        let state = if remembers { settings.state.state()? } else { None };
+        Ok(Self { settings, watched, served, database, state })
+    }
+
+    /// Refuses a certificate that does not allow what the services have to do.
+    async fn check_role(&self, bus: &Bus, services: Services, nodes: &[String]) -> Result<(), AppError> {
+        let is_fused = |watched: &Watched| watched.structure.fusion().is_some();
+        let (any_fused, any_whole) =
+            (self.watched.iter().any(is_fused), self.watched.iter().any(|watched| !is_fused(watched)));
+        let wanted = [
+            (services.ingest && any_whole, Need::PUT_FRAMES),
+            (services.identify && any_whole, Need::PUT_ESTIMATES),
+            (services == Services::IDENTIFY && any_fused, Need::PUT_LOCAL),
+            (services.fuse && any_fused, Need::PUT_FEEDBACK),
+            (services.alert, Need::PUT_ALERTS),
+            (self.database.is_some(), Need::ANSWER_HISTORY),
+            (services.notify && !self.settings.notify.is_empty(), Need::NOTIFY),
+            (self.served.is_some(), Need::SHOW_A_PAGE),
+        ];
+        let needs: Vec<Need> = wanted.into_iter().filter(|(is_wanted, _)| *is_wanted).map(|(_, need)| need).collect();
+        let structures = self.watched.iter().map(|watched| watched.structure.name()).collect();
+        let nodes = nodes.iter().map(String::as_str).collect();
+        let work = Work { subcommand: services.name(), needs: &needs, structures, nodes };
+        check(bus, &self.settings.bus, &work).await
+    }
+
+    /// Starts downstream first: whoever has a reader when it starts needs to repeat nothing.
+    async fn start(
+        &self,
+        bus: &Bus,
+        services: Services,
+        nodes: &[String],
+        page: &PageArguments,
+    ) -> Result<Running, AppError> {
+        let Self { settings, watched, served, database, state } = self;
+        let mut running = Running::new();
+        if let Some(served) = served {
+            serve_page(&mut running, bus, watched, served, page).await?;
+        }
+        if let Some(address) = database {
+            running.start_history(bus, watched, address, &settings.history.keep).await?;
+        }
+        if services.notify && !settings.notify.is_empty() {
+            running.start_notify(bus, watched, &settings.notify).await?;
+        }
+        if services.alert {
+            running.start_alert(bus, watched, state.as_ref()).await?;
+        }
+        if services.fuse {
+            running.start_fuse(bus, watched).await?;
+        }
+        if services.identify {
+            running.start_identify(bus, watched, settings.threads, nodes, state.as_ref()).await?;
+        }
+        if services.ingest {
+            running.start_ingest(bus, watched, state.as_ref()).await?;
+        }
+        Ok(running)
+    }
+}
+
+/// Runs the services until Ctrl-C or SIGTERM; SIGHUP has them begin anew with what configuration and structure files say then.
 ///
 /// # Errors
 /// When the configuration or a structure is wrong, the bus cannot be joined, or a service fails.
@@ -67,53 +172,48 @@ pub fn run(
     nodes: &[String],
     page: &PageArguments,
 ) -> Result<(), AppError> {
-    let settings = Settings::load(&arguments.bus)?;
-    let watched = read_structures(&settings, &arguments.structures)?;
-    if services == Services::FUSE && watched.iter().all(|watched| watched.structure.fusion().is_none()) {
-        return Err(AppError::NothingToFuse);
-    }
-    let database = if services.history { settings.history.address()? } else { None };
-    if services == Services::HISTORY && database.is_none() {
-        return Err(AppError::NoHistory);
-    }
-    if services == Services::NOTIFY && settings.notify.is_empty() {
-        return Err(AppError::NobodyToTell);
-    }
-    settings.notify.check()?;
+    let mut plan = Plan::read(arguments, services, page)?;
     block_on(async {
-        let bus = Bus::open(&settings.bus).await?;
-        let mut running = Running::new();
-        if let Some(listen) = settings.dashboard.listen(page).filter(|_| services.dashboard) {
-            serve_page(&mut running, &bus, &watched, &listen, page).await?;
-        }
-        // downstream first: whoever has a reader when it starts needs to repeat nothing
-        if let Some(address) = &database {
-            running.start_history(&bus, &watched, address, &settings.history.keep).await?;
-        }
-        if services.notify && !settings.notify.is_empty() {
-            running.start_notify(&bus, &watched, &settings.notify).await?;
-        }
-        if services.alert {
-            running.start_alert(&bus, &watched).await?;
-        }
-        if services.fuse {
-            running.start_fuse(&bus, &watched).await?;
-        }
-        if services.identify {
-            running.start_identify(&bus, &watched, settings.threads, nodes).await?;
-        }
-        if services.ingest {
-            running.start_ingest(&bus, &watched).await?;
-        }
-        info!(structures = watched.len(), "ready");
-        let failed = tokio::select! {
-            failed = running.failed() => failed,
-            () = interrupted() => Ok(()),
+        let bus = Bus::open(&plan.settings.bus).await?;
+        plan.check_role(&bus, services, nodes).await?;
+        let interrupted = interrupted();
+        tokio::pin!(interrupted);
+        let mut hangups = Hangups::new();
+        let ended = loop {
+            let mut running = plan.start(&bus, services, nodes, page).await?;
+            info!(structures = plan.watched.len(), "ready");
+            tell_systemd(NotifyState::Ready);
+            let pool = running.pool();
+            let ended = tokio::select! {
+                failed = running.failed() => Ended::Done(failed),
+                () = &mut interrupted => Ended::Done(Ok(())),
+                next = hangups.read(|| Plan::read(arguments, services, page)) => Ended::Anew(Box::new(next)),
+                never = feed_watchdog(pool) => never,
+            };
+            if matches!(ended, Ended::Done(_)) {
+                tell_systemd(NotifyState::Stopping);
+            }
+            let stopped = running.stop().await;
+            match ended {
+                Ended::Done(result) => break result.and(stopped),
+                Ended::Anew(next) => {
+                    stopped?;
+                    if next.settings.bus != plan.settings.bus {
+                        warn!("settings of the bus have changed: they count from the next start of the process on");
+                    }
+                    plan = *next;
+                }
+            }
         };
-        let stopped = running.stop().await;
         bus.close().await?;
-        failed.and(stopped)
+        ended
     })
+}
+
+/// Why services were stopped.
+enum Ended {
+    Done(Result<(), AppError>),
+    Anew(Box<Plan>),
 }
 
 /// Starts the dashboard, prints where its page is, and opens it if asked to. Returns the address of the page.
@@ -124,10 +224,11 @@ pub async fn serve_page(
     running: &mut Running,
     bus: &Bus,
     watched: &[Watched],
-    listen: &Listen,
+    settings: &PageSettings,
     arguments: &PageArguments,
 ) -> Result<String, AppError> {
-    let page = format!("http://{}/", running.start_dashboard(bus, watched, listen).await?);
+    let scheme = if settings.certificate.is_some() { "https" } else { "http" };
+    let page = format!("{scheme}://{}/", running.start_dashboard(bus, watched, settings).await?);
     print(&format!("page: {page}\n"))?;
     if arguments.open {
         open_in_browser(&page);

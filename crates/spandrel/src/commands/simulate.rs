@@ -4,6 +4,7 @@ use super::{counted, print, progress, refuse_overwriting};
 use crate::cli::SimulateArguments;
 use crate::error::AppError;
 use crate::record_source;
+use crate::role_check::{Need, Work, check};
 use crate::services::{block_on, epoch_now, interrupted};
 use crate::settings::Settings;
 use indicatif::ProgressBar;
@@ -40,6 +41,10 @@ pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
     let keys = settings.bus.keys(structure.name())?;
     block_on(async {
         let bus = Bus::open(&settings.bus).await?;
+        let nodes = simulation.nodes.iter().map(|index| structure.nodes()[*index].name()).collect();
+        let work =
+            Work { subcommand: "simulate", needs: &[Need::PUT_SAMPLES], structures: vec![structure.name()], nodes };
+        check(&bus, &settings.bus, &work).await?;
         let bar = progress::bar("simulating", simulation.frames);
         let simulated = tokio::select! {
             simulated = simulate(&bus, &structure, &keys, &simulation, &bar) => simulated,
@@ -81,7 +86,7 @@ pub async fn simulate(
     let &Simulation { speed, seed, frames, start_ns, ref nodes } = simulation;
     let (epoch, live) = (epoch_now(), speed == Speed::Live);
     let wait_for = if live { Vec::new() } else { readers(structure) };
-    let settings = SensorSettings { speed, epoch, wait_for };
+    let settings = SensorSettings { speed, epoch, wait_for, resume: false };
     let plans = NodePlan::of(structure, Clocks::AsSimulated).map_err(SensorError::from)?;
     let plans =
         plans.into_iter().enumerate().filter(|(index, _)| nodes.contains(index)).map(|(_, plan)| plan).collect();

@@ -2,6 +2,7 @@
 
 use crate::cli::WatchArguments;
 use crate::error::AppError;
+use crate::role_check::{Need, Work, check};
 use crate::services::{block_on, interrupted};
 use crate::settings::Settings;
 use crate::watch;
@@ -16,7 +17,10 @@ pub fn run(arguments: WatchArguments) -> Result<(), AppError> {
     let root = Name::new(&*bus.root)?;
     let structure = arguments.structure.map(Name::new).transpose()?;
     block_on(async {
-        let bus = Bus::open(&bus).await?;
+        let (config, bus) = (&bus, Bus::open(&bus).await?);
+        let work =
+            Work { subcommand: "watch", needs: &[Need::SEE_PARAMETERS], structures: Vec::new(), nodes: Vec::new() };
+        check(&bus, config, &work).await?;
         let shown = watch::show(&bus, &root, structure.as_ref(), None, interrupted()).await;
         let closed = bus.close().await;
         shown.and(closed.map_err(AppError::from))

@@ -37,6 +37,9 @@ impl Summary {
         if let Some(classes) = &self.classes {
             write_classes(classes, text)?;
         }
+        for node in &self.nodes {
+            writeln!(text, "  node {:<19} {}", node.node, node.words())?;
+        }
         for warning in &self.warnings {
             writeln!(text, "warning: {warning}")?;
         }

@@ -46,7 +46,9 @@ normal        no loss with the credibility asked for
 pending       a loss, not yet for as long as asked for
 raised        a loss, for as long as asked for
 acknowledged  raised, and someone has seen it
-cleared       was raised, the loss is gone";
+cleared       was raised, the loss is gone
+
+● ○ ✕ ■       a node is alive, silent, excluded, ended";
 
 /// Draws everything.
 pub fn draw(view: &View, frame: &mut Frame<'_>) {

@@ -3,8 +3,8 @@
 use super::natural_name::NaturalName;
 use super::trail::Trail;
 use spandrel_bus::{
-    AlertMessage, AlertState, Event, EventKind, MAX_CHANNELS, ModelClassDisplay, Name, NoiseDisplay, ParameterDisplay,
-    Service, Status,
+    AlertMessage, AlertState, Event, EventKind, MAX_CHANNELS, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay,
+    ParameterDisplay, Service, Status, is_without_date,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -15,6 +15,8 @@ const MOST_STRUCTURES: usize = 256;
 const MOST_INSTANCES: usize = MAX_CHANNELS;
 /// Events kept, of all structures together; the oldest make room.
 const EVENTS_KEPT: usize = 100;
+/// Messages of a node over which its traffic is averaged.
+const TRAFFIC_OVER: usize = 10;
 /// After this silence data are stale: display topics come at 10 Hz, statuses at 1 Hz.
 const STALE_AFTER: Duration = Duration::from_secs(3);
 
@@ -26,6 +28,7 @@ pub enum Input {
     Parameter(ParameterDisplay),
     Noise(NoiseDisplay),
     Classes(ModelClassDisplay),
+    Node(NodeDisplay),
     /// The alert of a parameter has changed.
     Alert(AlertMessage),
     /// An alert as it stood when somebody was asked for it.
@@ -63,6 +66,8 @@ pub struct StructureHeard {
     pub noise: BTreeMap<NaturalName, NoiseDisplay>,
     /// How the model classes stand; `None` where there is one model, or nothing was heard of them.
     pub classes: Option<ModelClassDisplay>,
+    /// Nodes that identify for themselves, in the eyes of their station.
+    pub nodes: BTreeMap<NaturalName, NodeHeard>,
     pub alerts: BTreeMap<NaturalName, AlertMessage>,
     /// Alerts of which the service that told them has gone; another one has not said anything of them yet.
     stale_alerts: BTreeSet<NaturalName>,
@@ -77,6 +82,13 @@ pub struct StructureHeard {
 pub struct ParameterHeard {
     pub display: ParameterDisplay,
     pub trail: Trail,
+}
+
+/// How a node stands, and its traffic of late.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NodeHeard {
+    /// Never empty; the last one is the latest.
+    lately: VecDeque<NodeDisplay>,
 }
 
 /// What an instance says of itself, and whether it is there.
@@ -107,6 +119,7 @@ impl Heard {
                     structure.classes = Some(display);
                 }
             }
+            Input::Node(display) => self.take_node(display),
             Input::Event(event) => self.take_event(event),
             Input::Status(status) => self.take_status(status),
             Input::Present(instances) => self.take_present(&instances),
@@ -136,6 +149,16 @@ impl Heard {
             }
         };
         heard.trail.push(time_ns, mean);
+    }
+
+    fn take_node(&mut self, display: NodeDisplay) {
+        let Some(structure) = self.structure_mut(&display.structure) else { return };
+        let name = NaturalName(display.node.clone());
+        if !has_room(&structure.nodes, &name, MOST_INSTANCES) {
+            self.left_out += 1;
+            return;
+        }
+        structure.nodes.entry(name).or_insert_with(|| NodeHeard { lately: VecDeque::new() }).take(display);
     }
 
     fn take_noise(&mut self, display: NoiseDisplay) {
@@ -299,8 +322,8 @@ impl Heard {
 impl StructureHeard {
     /// Whether nobody is there, and nothing was ever heard.
     fn is_silent(&self) -> bool {
-        let Self { parameters, noise, alerts, instances, .. } = self;
-        parameters.is_empty() && noise.is_empty() && alerts.is_empty() && instances.is_empty()
+        let Self { parameters, noise, alerts, nodes, instances, .. } = self;
+        parameters.is_empty() && noise.is_empty() && alerts.is_empty() && nodes.is_empty() && instances.is_empty()
     }
 
     fn has_alert_service(&self) -> bool {
@@ -312,9 +335,54 @@ impl StructureHeard {
         self.stale_alerts.contains(&NaturalName(parameter.clone()))
     }
 
+    /// Whether what is measured is of a record or a simulation with times of its own, whose lag behind the clock says nothing.
+    pub fn is_replayed(&self) -> bool {
+        let Some(time_ns) = self.time_ns else { return false };
+        let mut ingest = self.instances.iter().filter(|((service, _), _)| *service == Service::Ingest);
+        let is_of_a_record = |status: &Status| status.is_of_a_record(time_ns);
+        is_without_date(time_ns) || ingest.any(|(_, instance)| instance.status.as_ref().is_some_and(is_of_a_record))
+    }
+
+    /// What the newest value of a parameter says of the loss that its alert is about.
+    pub fn present_loss(&self, alert: &AlertMessage) -> Option<String> {
+        alert.loss_by(&self.parameters.get(&NaturalName(alert.parameter.clone()))?.display)
+    }
+
     /// The alert of a parameter.
     pub fn alert(&self, parameter: &Name) -> Option<&AlertMessage> {
         self.alerts.get(&NaturalName(parameter.clone()))
+    }
+}
+
+impl NodeHeard {
+    fn take(&mut self, display: NodeDisplay) {
+        // a station that was started again counts from zero, and its clock may have been set
+        let goes_on = |last: &NodeDisplay| {
+            last.time_ns < display.time_ns
+                && last.bytes_received <= display.bytes_received
+                && last.bytes_sent <= display.bytes_sent
+        };
+        if self.lately.back().is_some_and(|last| !goes_on(last)) {
+            self.lately.clear();
+        }
+        if self.lately.len() > TRAFFIC_OVER {
+            self.lately.pop_front();
+        }
+        self.lately.push_back(display);
+    }
+
+    /// How it stands.
+    pub fn display(&self) -> &NodeDisplay {
+        &self.lately[self.lately.len() - 1]
+    }
+
+    /// Payload per second that the station gets of it and sends to it, of late; none after one message.
+    pub fn bytes_per_s(&self) -> Option<(f64, f64)> {
+        let (first, last) = (self.lately.front()?, self.lately.back()?);
+        let seconds = last.time_ns.saturating_sub(first.time_ns) as f64 * 1e-9;
+        let rate = |first: u64, last: u64| last.saturating_sub(first) as f64 / seconds;
+        (seconds > 0.0)
+            .then(|| (rate(first.bytes_received, last.bytes_received), rate(first.bytes_sent, last.bytes_sent)))
     }
 }
 

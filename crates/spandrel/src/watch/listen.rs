@@ -4,8 +4,8 @@ use super::heard::{Input, Instance};
 use super::topics::{KeyExpressions, OnTopic, input, instance};
 use crate::error::AppError;
 use spandrel_bus::{
-    AlertMessage, Bus, BusError, Event, LiveWatch, ModelClassDisplay, Name, NoiseDisplay, ParameterDisplay, Service,
-    Status, Subscription,
+    AlertMessage, Bus, BusError, Event, LiveWatch, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay,
+    ParameterDisplay, Service, Status, Subscription,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -30,6 +30,7 @@ pub struct Listening {
     parameters: Subscription<ParameterDisplay>,
     noise: Subscription<NoiseDisplay>,
     classes: Subscription<ModelClassDisplay>,
+    nodes: Subscription<NodeDisplay>,
     alerts: Subscription<AlertMessage>,
     events: Subscription<Event>,
     statuses: Subscription<Status>,
@@ -56,6 +57,7 @@ impl Listening {
             parameters: bus.subscribe(expressions.parameters.clone(), VALUES_WAITING).await?,
             noise: bus.subscribe(expressions.noise.clone(), VALUES_WAITING).await?,
             classes: bus.subscribe(expressions.classes.clone(), STATUSES_WAITING).await?,
+            nodes: bus.subscribe(expressions.nodes.clone(), VALUES_WAITING).await?,
             alerts: bus.subscribe(expressions.alerts.clone(), ALERTS_WAITING).await?,
             events: bus.subscribe(expressions.events.clone(), ALERTS_WAITING).await?,
             statuses: bus.subscribe(expressions.statuses.clone(), STATUSES_WAITING).await?,
@@ -82,6 +84,7 @@ impl Listening {
         drain(&self.root, &self.parameters, &mut inputs);
         drain(&self.root, &self.noise, &mut inputs);
         drain(&self.root, &self.classes, &mut inputs);
+        drain(&self.root, &self.nodes, &mut inputs);
         drain(&self.root, &self.alerts, &mut inputs);
         drain(&self.root, &self.events, &mut inputs);
         while let Some(answer) = self.asked.try_join_next() {
@@ -118,6 +121,7 @@ impl Listening {
             self.parameters.refused(),
             self.noise.refused(),
             self.classes.refused(),
+            self.nodes.refused(),
             self.alerts.refused(),
             self.events.refused(),
             self.statuses.refused(),

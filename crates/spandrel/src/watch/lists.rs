@@ -61,7 +61,13 @@ fn alert_entry(heard: &Heard, alert: &AlertMessage, structures: Structures, widt
     let stale = if heard.is_stale(alert) { "stale, the alert service that said so is gone: " } else { "" };
     let sentence = printable(&format!("{stale}{}{}", structures.prefix(&alert.structure), alert.why));
     let state = Span::styled(format!("{:<14}", alert.state.as_str()), state_style(alert.state));
-    let lines = wrap(&sentence, width.saturating_sub(BEFORE_SENTENCE));
+    let mut lines = wrap(&sentence, width.saturating_sub(BEFORE_SENTENCE));
+    // the sentence stays that of the change
+    if let Some(now) = heard.structure(&alert.structure).and_then(|structure| structure.present_loss(alert)) {
+        let is_stale = heard.structure(&alert.structure).is_some_and(|of| heard.silence_of_data(of).is_some());
+        let when = if is_stale { "by the last value" } else { "now" };
+        lines.extend(wrap(&format!("{when}: {now}"), width.saturating_sub(BEFORE_SENTENCE)));
+    }
     let with_head = lines.into_iter().enumerate().map(|(index, text)| match index {
         0 => Line::from_iter([Span::raw("  "), state.clone(), Span::raw(text)]),
         _ => Line::from(format!("{}{text}", " ".repeat(BEFORE_SENTENCE))),

@@ -1,4 +1,5 @@
-//! The view as plain lines, for pipes, scripts and logs: one line per change of an alert, one a second per structure.
+//! The view as plain lines, for pipes, scripts and logs: one line per change of an alert, one a second per structure
+//! and, by [`plain_line`](super::nodes::plain_line), one per node that identifies for itself.
 
 use super::heard::{Heard, StructureHeard};
 use super::structure_panel::leading_class;
@@ -27,8 +28,9 @@ pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) ->
     let stale = heard.silence_of_data(structure).map(|silence| format!("stale {}: ", duration(silence)));
     let class = structure.classes.as_ref().map(|classes| format!("; class {}", leading_class(classes)));
     format!(
-        "{} {name} {}{}{}{}",
+        "{}{} {name} {}{}{}{}",
         time(time_ns),
+        if structure.is_replayed() { " of a replayed record" } else { "" },
         stale.unwrap_or_default(),
         parameters.join(", "),
         class.unwrap_or_default(),
@@ -58,7 +60,7 @@ fn services(heard: &Heard, structure: &StructureHeard) -> String {
         // writing to a String does not fail
         let _ = write!(text, "{separator}{}/{id}", service.as_str());
         let Some(status) = &instance.status else { continue };
-        if let Some(lag_s) = status.lag_s {
+        if let Some(lag_s) = status.lag_s.filter(|_| !structure.is_replayed()) {
             let _ = write!(text, " {}", lag(lag_s));
         }
         let dropped: u64 = status.drops.values().sum();
@@ -77,9 +79,9 @@ fn services(heard: &Heard, structure: &StructureHeard) -> String {
 #[cfg(test)]
 mod tests {
     use super::super::heard::Input;
-    use super::super::testing::{alert, at, classes, damaged_tower, heard, name, parameter, present};
+    use super::super::testing::{alert, at, classes, damaged_tower, heard, name, parameter, present, status};
     use super::*;
-    use spandrel_bus::AlertState;
+    use spandrel_bus::{AlertState, Pace};
 
     fn line(heard: &Heard) -> String {
         structure_line(heard, &name("tower"), heard.structure(&name("tower")).unwrap())
@@ -115,6 +117,17 @@ mod tests {
             line(&tower)
                 .ends_with("ingest/a lag 0.12 s gone, identify/a lag 0.21 s drops 3 gone, alert/a lag 0.25 s gone")
         );
+    }
+
+    #[test]
+    fn a_replayed_record_has_its_time_and_no_lag() {
+        let mut tower = damaged_tower();
+        let mut ingest = status(Service::Ingest, 8e8, &[]);
+        (ingest.pace, ingest.time_ns) = (Some(Pace::Replayed), ingest.time_ns + 800_000_000_000_000_000);
+        tower.handle(Input::Status(ingest), &mut Vec::new());
+        let told = line(&tower);
+        assert!(told.starts_with("2024-02-29 12:00:59 UTC of a replayed record tower storey-1"), "{told}");
+        assert!(told.ends_with("; ingest/a, identify/a drops 3, alert/a"), "{told}");
     }
 
     #[test]

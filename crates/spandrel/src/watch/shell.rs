@@ -2,6 +2,7 @@
 
 use super::heard::{Heard, Input};
 use super::listen::Listening;
+use super::nodes::plain_line;
 use super::plain::{alert_line, structure_line};
 use super::screen::Screen;
 use super::view::{Action, View};
@@ -118,7 +119,10 @@ async fn print_lines(mut listening: Listening, place: &str, stop: impl Future<Ou
         let mut lines: Vec<String> = changes.iter().map(alert_line).collect();
         if is_last || now >= next_line {
             next_line = now + LINE_EVERY;
-            lines.extend(heard.structures().map(|(name, structure)| structure_line(&heard, name, structure)));
+            for (name, structure) in heard.structures() {
+                lines.push(structure_line(&heard, name, structure));
+                lines.extend(structure.nodes.values().map(|node| plain_line(name, node)));
+            }
             if lines.is_empty() && !is_silence_told {
                 lines.push(nothing_heard(place));
                 is_silence_told = true;

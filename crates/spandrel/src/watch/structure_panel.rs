@@ -2,6 +2,7 @@
 
 use super::estimate_bar::{Axis, Marks};
 use super::heard::{Heard, InstanceHeard, ParameterHeard, StructureHeard};
+use super::nodes::panel_lines;
 use super::trail::Trail;
 use super::wording::{
     duration, estimate, lag, nothing_measured, printable, probability, share, significant, state_counts, state_style,
@@ -35,7 +36,7 @@ pub struct StructurePanel {
     pub time: Line<'static>,
     header: Line<'static>,
     rows: Vec<Line<'static>>,
-    /// Noise levels, model classes and services.
+    /// Noise levels, model classes, services, and nodes that identify for themselves.
     footer: Vec<Line<'static>>,
     /// What stands in the place of rows where there are none.
     nothing_measured: Line<'static>,
@@ -242,7 +243,8 @@ fn title(name: &Name, structure: &StructureHeard) -> Line<'static> {
 }
 
 fn time_of(heard: &Heard, structure: &StructureHeard) -> Line<'static> {
-    let measured = structure.time_ns.map(time);
+    let of_record = if structure.is_replayed() { " · replayed record" } else { "" };
+    let measured = structure.time_ns.map(|time_ns| format!("{}{of_record}", time(time_ns)));
     match (measured, heard.silence_of_data(structure)) {
         (Some(measured), None) => Line::from(measured),
         (Some(measured), Some(silence)) => {
@@ -274,11 +276,12 @@ fn footer(heard: &Heard, structure: &StructureHeard, width: usize) -> Vec<Line<'
     for ((service, id), instance) in structure.instances.iter().filter(|(key, _)| !is_node(key)) {
         let alone = structure.instances.keys().filter(|(other, _)| other == service).count() == 1;
         let who = if alone { service.as_str().to_owned() } else { format!("{}/{id}", service.as_str()) };
-        items.push(service_item(heard, who, instance));
+        items.push(service_item(heard, structure, who, instance));
     }
     if !items.is_empty() {
         lines.extend(flow("services     ", items, width));
     }
+    lines.extend(panel_lines(structure.nodes.values()));
     lines
 }
 
@@ -308,10 +311,14 @@ fn noise_level(level: &NoiseDisplay) -> String {
     format!("{name} {} ± {}", significant(mean.sqrt()), share(relative_std))
 }
 
-fn service_item(heard: &Heard, who: String, instance: &InstanceHeard) -> Span<'static> {
+fn service_item(heard: &Heard, structure: &StructureHeard, who: String, instance: &InstanceHeard) -> Span<'static> {
     let mut text = who;
     if let Some(status) = &instance.status {
-        text.push_str(&status.lag_s.map_or_else(|| " waits for data".to_owned(), |lag_s| format!(" {}", lag(lag_s))));
+        match status.lag_s {
+            None => text.push_str(" waits for data"),
+            Some(_) if structure.is_replayed() => {} // the times are those of a record
+            Some(lag_s) => text.push_str(&format!(" {}", lag(lag_s))),
+        }
         for (reason, count) in status.drops.iter().filter(|(_, count)| **count > 0) {
             text.push_str(&format!(", {count} {}", printable(reason)));
         }

@@ -3,7 +3,7 @@
 use super::heard::{Heard, Input, Instance};
 use spandrel_bus::{
     AlertMessage, AlertState, ClassPlausibility, CredibleInterval, Event, EventKind, ModelClassDisplay, Name,
-    NoiseDisplay, ParameterDisplay, Service, Status,
+    NodeDisplay, NodeHealth, NoiseDisplay, ParameterDisplay, Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -59,6 +59,28 @@ pub fn alert(parameter: &str, second: i64, state: AlertState) -> AlertMessage {
     }
 }
 
+/// A node of `tower` at `second` after [`TIME_NS`], which sends 500 bytes a second and is sent 100.
+pub fn node(node: &str, second: i64, state: NodeHealth) -> NodeDisplay {
+    let time_ns = TIME_NS + second * 1_000_000_000;
+    NodeDisplay {
+        structure: name("tower"),
+        node: name(node),
+        time_ns,
+        state,
+        distance: Some(2.1),
+        distance_limit: Some(5.4),
+        excluded_since_ns: None,
+        silent_since_ns: None,
+        heard_ns: Some(time_ns),
+        excluded_share: 0.0,
+        messages: second as u64,
+        bytes_received: 500 * second as u64,
+        bytes_sent: 100 * second as u64,
+        refused: BTreeMap::new(),
+        restarts: 0,
+    }
+}
+
 pub fn event(what: &str, why: &str) -> Event {
     Event {
         structure: name("tower"),
@@ -77,6 +99,7 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
         id: name("a"),
         time_ns: TIME_NS,
         lag_s: Some(lag_s),
+        pace: None,
         done: 1200,
         drops: drops.iter().map(|(reason, count)| ((*reason).to_owned(), *count)).collect::<BTreeMap<_, _>>(),
         restarts: 0,

@@ -2,8 +2,8 @@
 
 use super::heard::{Input, Instance};
 use spandrel_bus::{
-    AlertMessage, Event, Keys, Message, ModelClassDisplay, Name, NameError, NoiseDisplay, ParameterDisplay, Service,
-    Status, Topic, parse_key,
+    AlertMessage, Event, Keys, Message, ModelClassDisplay, Name, NameError, NodeDisplay, NoiseDisplay,
+    ParameterDisplay, Service, Status, Topic, parse_key,
 };
 
 /// The key expressions of what people look at.
@@ -12,6 +12,7 @@ pub struct KeyExpressions {
     pub parameters: String,
     pub noise: String,
     pub classes: String,
+    pub nodes: String,
     pub alerts: String,
     pub events: String,
     pub statuses: String,
@@ -38,6 +39,7 @@ impl KeyExpressions {
             parameters: expression(keys.all_parameters()),
             noise: expression(keys.all_noise()),
             classes: expression(keys.model_class()),
+            nodes: expression(keys.all_nodes()),
             alerts: expression(keys.all_alerts()),
             events: expression(keys.event()),
             statuses: expression(keys.all_statuses()),
@@ -79,6 +81,16 @@ impl OnTopic for ModelClassDisplay {
 
     fn into_input(self) -> Input {
         Input::Classes(self)
+    }
+}
+
+impl OnTopic for NodeDisplay {
+    fn topic(&self) -> Option<(&Name, Topic)> {
+        Some((&self.structure, Topic::Node(self.node.clone())))
+    }
+
+    fn into_input(self) -> Input {
+        Input::Node(self)
     }
 }
 
@@ -149,6 +161,7 @@ mod tests {
         assert_eq!(expressions.parameters, "any/*/parameter/*");
         assert_eq!(expressions.noise, "any/*/noise/*");
         assert_eq!(expressions.classes, "any/*/model-class");
+        assert_eq!(expressions.nodes, "any/*/node/*");
         assert_eq!(expressions.alerts, "any/*/alert/*");
         assert_eq!(expressions.events, "any/*/event");
         assert_eq!(expressions.statuses, "any/*/status/*/*");

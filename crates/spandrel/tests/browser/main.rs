@@ -80,6 +80,92 @@ async fn the_damage_is_seen_the_alert_is_acknowledged_and_a_lost_connection_heal
     a_lost_connection_heals(&mut browser, &endpoint).await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_page_with_tokens_asks_for_one() {
+    let Some(mut browser) = browser().await else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let tokens = folder.path().join("tokens.json");
+    let mut token = Command::new(env!("CARGO_BIN_EXE_spandrel"));
+    let issued = token.args(["token", "grace", "--role", "operator", "--file"]).arg(&tokens).output().unwrap();
+    let token = String::from_utf8(issued.stdout).unwrap().trim().to_owned();
+    assert!(token.starts_with("spandrel-"), "{}", String::from_utf8_lossy(&issued.stderr));
+    let structure = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
+    let configuration = folder.path().join("spandrel.toml");
+    let text = format!(
+        "structures = [{structure:?}]\n[bus]\nlisten = [\"tcp/{}\"]\n[dashboard]\nlisten = \"127.0.0.1:0\"\n\
+         tokens = \"tokens.json\"\n[history]\ndatabase = \"none\"\n[state]\nfolder = \"none\"\n",
+        free_address()
+    );
+    std::fs::write(&configuration, text).unwrap();
+    let run = Program::start(&["run", "--config", configuration.to_str().unwrap()]);
+    browser.open(&run.page).await;
+    browser.wait("a form for the token", "document.querySelector('#entrance #token') !== null").await;
+    assert_eq!(browser.evaluate("document.querySelectorAll('.structure-card').length").await, 0);
+    browser.screenshot("entrance").await;
+    let show = |token: &str| {
+        format!(
+            "document.querySelector('#token').value = {token:?}; document.querySelector('#entrance').requestSubmit(); true"
+        )
+    };
+    browser.evaluate(&show("spandrel-wrong")).await;
+    let told = "document.querySelector('#entrance [role=alert]').textContent";
+    browser.wait("a word on the wrong token", &format!("{told}.includes('no valid token')")).await;
+    browser.evaluate(&show(&token)).await;
+    browser.wait("the card of the demo", "document.querySelector('.structure-card[data-name=demo]') !== null").await;
+    assert_eq!(browser.evaluate("document.cookie").await, "", "scripts cannot read the session");
+}
+
+/// Broke: nothing on the page told which node was silent, left out or well.
+#[tokio::test(flavor = "multi_thread")]
+async fn nodes_that_identify_for_themselves_are_in_a_table() {
+    let Some(mut browser) = browser().await else { return };
+    let endpoint = format!("tcp/{}", free_address());
+    let demo = Program::start(&[
+        "demo",
+        "--distributed",
+        "--stay",
+        "--speed",
+        "10",
+        "--http",
+        "127.0.0.1:0",
+        "--listen",
+        &endpoint,
+    ]);
+    browser.resize(1280, 900).await;
+    browser.prefer("light").await;
+    browser.open(&format!("{}#/structure/demo-distributed", demo.page)).await;
+    let cell = |node: &str, column: u64| {
+        format!("document.querySelector('table.nodes tr[data-node={node}]')?.children[{column}].textContent ?? ''")
+    };
+    // its samples are lost from 30 to 45 s; those of floor 20 are off all the time
+    browser.wait("a node that is silent", &format!("({}).startsWith('○ silent since ')", cell("floor-8", 1))).await;
+    browser.wait("a node that is left out", &format!("({}).startsWith('◆ excluded')", cell("floor-20", 1))).await;
+    browser.evaluate("document.querySelector('#group-nodes').scrollIntoView()").await;
+    browser.screenshot("nodes-light").await;
+    assert_eq!(browser.evaluate("document.querySelectorAll('table.nodes tbody tr').length").await, 16);
+    let heads = browser.evaluate("[...document.querySelectorAll('table.nodes th[scope=col]')].length").await;
+    assert_eq!(heads, 7);
+    browser.wait("it is heard again", &format!("({}).startsWith('● alive')", cell("floor-8", 1))).await;
+    for (column, shape) in [
+        (2, r"^[\d.]+ \([\d.]+\)$"),
+        (3, r"^\d{4}-\d\d-\d\d .* UTC \(\d+ % of late\)$"),
+        (4, r"^\d{4}-\d\d-\d\d .* UTC$"),
+        (5, r"^[\d.]+ kB$"),
+        (6, r"^[\d.]+ kB$"),
+    ] {
+        let matches = format!("/{shape}/.test({})", cell("floor-20", column));
+        browser.wait(&format!("column {column} of a node that is left out"), &matches).await;
+    }
+    browser.prefer("dark").await;
+    browser.screenshot("nodes-dark").await;
+    browser.resize(390, 844).await;
+    browser.evaluate("document.querySelector('#group-nodes').scrollIntoView()").await;
+    browser.screenshot("nodes-phone").await;
+    let width = browser.evaluate("document.documentElement.scrollWidth").await;
+    assert_eq!(width, 390, "the page is wider than the phone");
+    assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
+}
+
 async fn the_damage_appears(browser: &mut Browser, page: &str) {
     browser.open(page).await;
     let card = "document.querySelector('.structure-card[data-name=demo]')";

@@ -2,6 +2,7 @@
 
 use super::{IdentificationReport, ModeReport, TimeStepReport};
 use serde::Serialize;
+use spandrel_filter::fusion::compression::MISSED_MASS;
 use std::fmt;
 
 /// Two quantities with a correlation beyond this cannot be told apart.
@@ -14,9 +15,6 @@ const NOTABLE_SHIFT: f64 = 0.02;
 const SLOW: f64 = 2.0;
 /// An adapted level that moves this much faster than its half-life runs after single gusts and shocks.
 const HASTY: f64 = 5.0;
-
-/// Modes that nodes send may miss this share of the mass that the excitation sets going: Huang & Yuen (2023), chapter 6.
-const MISSED_MASS: f64 = 0.05;
 
 /// How serious a finding is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]

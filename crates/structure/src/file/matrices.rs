@@ -125,7 +125,7 @@ fn read_substructures(section: &mut Section<'_>) -> Option<Vec<(String, Named)>>
             continue;
         };
         if !is_name(name.get_ref()) {
-            let allowed = "must have a name of lower-case letters, digits and hyphens";
+            let allowed = "must have a name of 1 to 64 lower-case letters, digits and hyphens";
             section.diagnostics().report(name.span(), &key, "is not a name", allowed);
             continue;
         }

@@ -146,7 +146,7 @@ fn read_places(section: &mut Section<'_>, kind: MeshKind) -> Option<Places> {
         let Some(at) = section.entry_numbers("nodes", &name, value, Allowed::ANY) else { continue };
         let key = section.key(&format!("nodes.{}", name.get_ref()));
         if !is_name(name.get_ref()) {
-            let allowed = "must have a name of lower-case letters, digits and hyphens";
+            let allowed = "must have a name of 1 to 64 lower-case letters, digits and hyphens";
             section.diagnostics().report(name.span(), key, "is not a name", allowed);
             continue;
         }
@@ -236,7 +236,7 @@ fn unfit_for_a_place(name: &str, before: &[String]) -> Option<&'static str> {
     if before.iter().any(|other| other == name) {
         return Some("must not pass a node without coordinates twice");
     }
-    (!is_name(name)).then_some("must be a number from 0 or a name of lower-case letters, digits and hyphens")
+    (!is_name(name)).then_some("must be a number from 0 or a name of 1 to 64 lower-case letters, digits and hyphens")
 }
 
 /// Reads a support into `fixed`; `None` if it has a mistake, or if the nodes are not all known.

@@ -293,7 +293,7 @@ fn names_that_occur_twice_are_refused() {
 fn a_name_that_is_no_key_chunk_is_refused() {
     assert_eq!(
         mistakes_after("name = \"demo\"", "name = \"Demo/Tower\""),
-        ["structure.name: is \"Demo/Tower\", must be a name of lower-case letters, digits and hyphens"]
+        ["structure.name: is \"Demo/Tower\", must be a name of 1 to 64 lower-case letters, digits and hyphens"]
     );
 }
 

@@ -31,8 +31,16 @@ impl StiffnessByMass {
         let free = fixed.assembly.len();
         for (index, column) in self.matrix.as_mut_slice().chunks_exact_mut(free).enumerate() {
             let (places, rows) = fixed.assembly.row(index); // which is the column, because K is symmetric
+            let entries = rows.iter().zip(&point.stiffness[places]);
+            if fixed.mass_factor.is_none() {
+                // what is outside the pattern has been zero from the start
+                for (row, value) in entries {
+                    column[*row] = value * fixed.reciprocal_masses[*row] * point.mass_factors_inverse[*row];
+                }
+                continue;
+            }
             column.fill(0.0);
-            for (row, value) in rows.iter().zip(&point.stiffness[places]) {
+            for (row, value) in entries {
                 column[*row] = *value;
             }
             fixed.divide_by_mass(column);

@@ -9,7 +9,7 @@ use crate::network::{Network, settled};
 use crate::outcome::Outcome;
 use crate::run::Run;
 use crate::scene::{Course, Plan, Scene};
-use crate::statistics::{Accuracy, Mean};
+use crate::statistics::{Accuracy, Mean, least};
 use spandrel_structure::Structure;
 use std::path::Path;
 
@@ -107,7 +107,7 @@ fn truss_at(rate_hz: f64, damages: [f64; 2]) -> String {
 
 /// Sixteen bays, ten nodes with clocks of their own.
 pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
-    let (rate_hz, seconds, damages) = run.pick((FINE_HZ, 200.0, [100.0, 150.0]), (200.0, 16.0, [9.0, 12.0]));
+    let (rate_hz, seconds, damages) = run.pick((FINE_HZ, 200.0, [100.0, 150.0]), (200.0, 60.0, [24.0, 41.0]));
     let fine = simulate(&truss_at(FINE_HZ, damages), seconds + 0.04, run)?;
     let structure = Structure::parse(&truss_at(rate_hz, damages), Path::new("example.toml"))?;
     let every = (FINE_HZ / rate_hz).round() as usize;
@@ -132,15 +132,15 @@ pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         figures
             .push(Figure::new(format!("frequency {} (Hz)", number + 1), modes[number], required).published(*frequency));
     }
-    let over_groups = |courses: &[Course], of: &dyn Fn(&Accuracy) -> f64| {
+    let of_groups = |courses: &[Course]| -> Vec<Accuracy> {
+        courses[..GROUPS].iter().map(|course| settled(course, COUNTED_FROM_S, &damages, AFTER_DAMAGE_S)).collect()
+    };
+    let error = |courses: &[Course]| {
         let mut mean = Mean::default();
-        for course in &courses[..GROUPS] {
-            mean.take(of(&settled(course, COUNTED_FROM_S, &damages, AFTER_DAMAGE_S)));
-        }
+        of_groups(courses).iter().for_each(|accuracy| mean.take(accuracy.mean_absolute_error()));
         mean.value()
     };
-    let error = |courses: &[Course]| over_groups(courses, &Accuracy::mean_absolute_error);
-    let coverage = |courses: &[Course]| over_groups(courses, &Accuracy::coverage);
+    let coverage = |courses: &[Course]| least(of_groups(courses).iter().map(Accuracy::coverage));
     let difference = {
         let mut accuracy = Accuracy::default();
         for (with, without) in fused.courses[..GROUPS].iter().zip(&first_damage.courses[..GROUPS]) {
@@ -151,25 +151,29 @@ pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     };
     figures.extend([
         Figure::new("synchronous, one filter: mean error of stiffness", error(&in_one), Required::Reported),
-        Figure::new("synchronous, one filter: share within 3 deviations", coverage(&in_one), Required::Reported),
+        Figure::new(
+            "synchronous, one filter: least share of a stiffness within 3 deviations",
+            coverage(&in_one),
+            Required::Reported,
+        ),
         Figure::new("asynchronous, one filter: mean error of stiffness", error(&in_one_shifted), Required::Reported),
         Figure::new(
-            "asynchronous, one filter: share within 3 deviations",
+            "asynchronous, one filter: least share of a stiffness within 3 deviations",
             coverage(&in_one_shifted),
             Required::Reported,
         ),
         Figure::new(
             "asynchronous, a filter a node: mean error of stiffness",
             error(&fused.courses),
-            judged(Required::AtMost(0.025)),
+            Required::AtMost(0.025),
         ),
         Figure::new(
             "asynchronous: error with a filter a node over that with one filter",
             error(&fused.courses) / error(&in_one_shifted),
-            judged(Required::AtMost(0.4)),
+            Required::AtMost(0.4),
         ),
         Figure::new(
-            "asynchronous, a filter a node: share within 3 deviations",
+            "asynchronous, a filter a node: least share of a stiffness within 3 deviations",
             coverage(&fused.courses),
             judged(Required::AtLeast(0.95)),
         ),
@@ -184,11 +188,11 @@ pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     for (group, at_s) in DAMAGED.into_iter().zip(damages) {
         let name = structure.parameters()[group].name();
         let course = &fused.courses[group];
-        let after = course.mean(at_s + 25.0, at_s + 50.0);
+        let after = run.pick((25.0, 50.0), (14.0, 19.0));
         figures.extend([
             Figure::new(
-                format!("{name}, a filter a node: 25 to 50 s after its damage"),
-                after,
+                format!("{name}, a filter a node: {} to {} s after its damage", after.0, after.1),
+                course.mean(at_s + after.0, at_s + after.1),
                 judged(Required::Within { of: 0.95, by: 0.02 }),
             ),
             Figure::new(

@@ -116,6 +116,24 @@ fn answer(index: u64, parameters: &Gaussian, told: &[crate::fusion::LocalEstimat
 }
 
 #[test]
+fn told_samples_are_whole_multiples_of_the_unit() {
+    let exponent = unit_exponent(NOISE);
+    assert_eq!((exponent, unit_exponent(0.25), unit_exponent(0.249)), (-5, -5, -6));
+    let exchange = SampleExchange::new(&[2, 3], 1).rounded_to(vec![exponent, -2, 3, 4, 5]);
+    assert_eq!((exchange.unit_exponents(0), exchange.unit_exponents(1)), (&[exponent, -2][..], &[3, 4, 5][..]));
+    let mut shared = Shared::new(&exchange, 0, 1);
+    let huge = 0.25 * f64::from(i32::MAX) * 1.01;
+    for (told, expected) in
+        [([0.1, 0.1], [0.09375, 0.0]), ([-1.7, 0.126], [-1.6875, 0.25]), ([f64::NAN, huge], [f64::NAN; 2])]
+    {
+        shared.tell(1, told.into_iter());
+        for (found, expected) in shared.outgoing.iter().zip(expected) {
+            assert!(*found == expected || (found.is_nan() && expected.is_nan()), "{told:?}: {found}");
+        }
+    }
+}
+
+#[test]
 fn a_node_tells_its_samples_at_the_instants() {
     let mut nodes = [node(0).unwrap(), node(1).unwrap()];
     for period in 0..2 {
@@ -192,4 +210,34 @@ fn instants_divide_the_samples_of_a_period() {
     };
     assert!(LocalFilter::new(filter(), of(4)).is_err());
     assert!(LocalFilter::new(filter(), of(2)).is_ok());
+}
+
+/// Broke: samples of before a gap were told as those of the same place in a later period.
+#[test]
+fn samples_of_before_a_gap_are_not_told_after_it() {
+    let mut node = node(0).unwrap();
+    for step in 0..4 {
+        node.step(Frame { observations: &[datum(0, step)], excitation: &[] }).unwrap();
+    }
+    node.skip(STEPS);
+    for step in 4 + STEPS..2 * STEPS {
+        node.step(Frame { observations: &[datum(0, step)], excitation: &[] }).unwrap();
+    }
+    assert!(node.is_due());
+    let told = node.report().motion.unwrap().mean;
+    assert!(told[0].is_nan() && told[1].is_nan(), "{told}");
+    assert_eq!(told[2], datum(0, 2 * STEPS - 1));
+}
+
+#[test]
+fn samples_have_the_same_places_in_the_period_of_a_node_that_begins_within_it() {
+    let mut node = node(0).unwrap();
+    node.begin_at(3);
+    for step in 3..STEPS {
+        node.step(Frame { observations: &[datum(0, step)], excitation: &[] }).unwrap();
+    }
+    assert!(node.is_due());
+    let told = node.report().motion.unwrap().mean;
+    assert!(told[0].is_nan());
+    assert_eq!([told[1], told[2]], [datum(0, 3), datum(0, 5)]);
 }

@@ -2,7 +2,7 @@ use super::*;
 use crate::extended::{ExtendedKalmanFilter, FilterSettings, Frame};
 use crate::fading::FadingFactor;
 use crate::fusion::local::{Lineage, LocalFilter, NodeSettings, Taken};
-use crate::fusion::{CovarianceScheme, product};
+use crate::fusion::{CovarianceScheme, SampleExchange, product};
 use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::NoiseModel;
 use nalgebra::DMatrix;
@@ -95,6 +95,7 @@ fn station(nodes: usize, rule: FusionRule, feedback: FeedbackRule) -> Station {
         rule,
         feedback,
         motion: MotionExchange::None,
+        same_instant: 0.5 / PERIOD as f64,
         detector: None,
         stale_periods: 3.0,
         healthy: (DVector::repeat(2, 0.0), DVector::repeat(2, 5.0)),
@@ -113,6 +114,7 @@ fn a_station_that_is_led_astray_begins_anew_from_the_prior() {
         },
         lineage: Some(Lineage { own: index - 1, answers: Vec::new() }),
         motion: None,
+        instant: index as f64,
     };
     for node in 0..2 {
         station.receive(node, message(1, [1.0, 1.1]), 1.0).unwrap();
@@ -220,6 +222,7 @@ fn sixteen_copies_of_the_prior_fuse_to_the_prior() {
         parameters: Gaussian { covariance: prior().covariance * fading().value().powi(PERIOD as i32 - 1), ..prior() },
         lineage: Some(Lineage { own: 0, answers: Vec::new() }),
         motion: None,
+        instant: index as f64,
     };
     let faded = message(1).parameters;
     for sharing in [Sharing::All, Sharing::Nothing, Sharing::Factor(4.0)] {
@@ -249,6 +252,7 @@ fn useless_messages_are_refused_and_change_nothing() {
         parameters: prior(),
         lineage: Some(Lineage { own: 0, answers: Vec::new() }),
         motion: None,
+        instant: 1.0,
     };
     let with = |parameters| LocalEstimate { parameters, ..good.clone() };
     let nan = Gaussian { mean: DVector::from_row_slice(&[f64::NAN, 1.0]), ..prior() };
@@ -286,6 +290,7 @@ fn a_stale_message_is_left_out() {
         parameters: prior(),
         lineage: Some(Lineage { own: 0, answers: Vec::new() }),
         motion: None,
+        instant: 1.0,
     };
     station.receive(0, message, 1.0).unwrap();
     let fused = station.fuse(5.0);
@@ -293,14 +298,14 @@ fn a_stale_message_is_left_out() {
     assert!(fused.feedback[0].is_none());
 }
 
-#[test]
-fn a_message_after_a_lost_one_counts_no_information_twice() {
-    // node 1 is heard every second time only: the station may know less than it could, never more
-    let feedback = FeedbackRule::None;
+/// Runs two nodes that learn independently, of which the second one is heard only in the periods that `hears` tells; returns the
+/// fused covariances without those of the centralised filter.
+fn more_uncertain_than_centralised(feedback: FeedbackRule, hears: impl Fn(u64) -> bool) -> Vec<DMatrix<f64>> {
     let mut nodes = [node(ROWS[0], feedback), node(ROWS[1], feedback)];
     let mut station = station(2, FusionRule::PriorCorrect(Sharing::Nothing), feedback);
     let mut centralised = Centralised(prior().information().unwrap());
-    for step in 0..30 * PERIOD {
+    let mut differences = Vec::new();
+    for step in 0..60 * PERIOD {
         centralised.step(step, &ROWS[..2]);
         for (k, node) in nodes.iter_mut().enumerate() {
             node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
@@ -309,15 +314,181 @@ fn a_message_after_a_lost_one_counts_no_information_twice() {
             let period = (step + 1) / PERIOD;
             for (k, node) in nodes.iter_mut().enumerate() {
                 let report = node.report();
-                if k == 0 || period.is_multiple_of(2) {
+                if k == 0 || hears(period) {
                     station.receive(k, report, period as f64).unwrap();
                 }
             }
-            let fused = station.fuse(period as f64).parameters;
-            let all = centralised.0.gaussian().unwrap().covariance;
-            let less = fused.covariance - all;
-            assert!(less.symmetric_eigen().eigenvalues.min() > -1e-6, "period {period}");
+            let fused = station.fuse(period as f64);
+            for (node, answer) in nodes.iter_mut().zip(&fused.feedback) {
+                if let Some(answer) = answer {
+                    assert_eq!(node.take(answer), Taken::Applied);
+                }
+            }
+            differences.push(fused.parameters.covariance - centralised.0.gaussian().unwrap().covariance);
         }
+    }
+    differences
+}
+
+/// Broke: what had been learnt until the lost message was lost for ever, and with every second one all of it.
+#[test]
+fn a_message_after_a_lost_one_counts_no_information_twice_and_all_of_it_once() {
+    let runs: [fn(u64) -> bool; 3] =
+        [|period| period.is_multiple_of(2), |period| period.is_multiple_of(7), |period| period % 9 > 5];
+    for feedback in [FeedbackRule::None, FeedbackRule::Marginal, FeedbackRule::Federated] {
+        for hears in runs {
+            for (period, more) in (1..).zip(more_uncertain_than_centralised(feedback, hears)) {
+                assert!(more.clone().symmetric_eigen().eigenvalues.min() > -1e-9, "{feedback:?}, period {period}");
+                // whatever was lost before, the message that is heard makes up for it
+                assert!(!hears(period) || more.amax() < 1e-9, "{feedback:?}, period {period}: {:e}", more.amax());
+            }
+        }
+    }
+}
+
+/// Broke: a node that takes no answers named messages that the station had not got, and told nothing from then on.
+#[test]
+fn a_node_whose_answers_are_all_lost_tells_all_it_learns() {
+    let mut nodes = [node(ROWS[0], FeedbackRule::Marginal), node(ROWS[1], FeedbackRule::Marginal)];
+    let mut station = station(2, FusionRule::PriorCorrect(Sharing::Nothing), FeedbackRule::Marginal);
+    let mut centralised = Centralised(prior().information().unwrap());
+    for step in 0..60 * PERIOD {
+        centralised.step(step, &ROWS[..2]);
+        for (k, node) in nodes.iter_mut().enumerate() {
+            node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+        }
+        if (step + 1).is_multiple_of(PERIOD) {
+            let period = (step + 1) / PERIOD;
+            for (k, node) in nodes.iter_mut().enumerate() {
+                let report = node.report();
+                if k == 0 || !period.is_multiple_of(3) {
+                    station.receive(k, report, period as f64).unwrap();
+                }
+            }
+            let fused = station.fuse(period as f64);
+            nodes[0].take(fused.feedback[0].as_ref().unwrap());
+            let off = fused.parameters.covariance - centralised.0.gaussian().unwrap().covariance;
+            assert!(period.is_multiple_of(3) || off.amax() < 1e-9, "period {period}: {:e}", off.amax());
+            assert!(station.known[1].counted.len() <= ANSWERS_KEPT + 2, "{}", station.known[1].counted.len());
+            assert!(station.known[1].answered.len() <= ANSWERS_KEPT + 1);
+        }
+    }
+}
+
+#[test]
+fn nodes_that_tell_nothing_new_do_not_weaken_what_others_have_learnt() {
+    let mut station = station(4, FusionRule::default(), FeedbackRule::Marginal);
+    let learnt = Gaussian { covariance: prior().covariance * 0.5, ..prior() };
+    let message = |lineage| LocalEstimate { index: 1, parameters: learnt.clone(), lineage, motion: None, instant: 1.0 };
+    station.receive(0, message(Some(Lineage { own: 0, answers: Vec::new() })), 1.0).unwrap();
+    for node in 1..4 {
+        station.receive(node, message(None), 1.0).unwrap();
+    }
+    let fused = station.fuse(1.0);
+    assert_eq!(fused.used, 4);
+    assert!((fused.parameters.covariance - learnt.covariance).amax() < 1e-12, "of one that learns, all counts");
+}
+
+/// Broke: a node told of what it had learnt in a part of a period as if it had been a whole one; then what it learnt in it was lost.
+#[test]
+fn a_node_that_begins_within_a_period_ends_it_with_the_others_and_counts_nothing_twice() {
+    const LATE: u64 = 2;
+    let mut nodes = [node(ROWS[0], FeedbackRule::Marginal), node(ROWS[1], FeedbackRule::Marginal)];
+    nodes[1].begin_at(LATE);
+    let mut station = station(2, FusionRule::PriorCorrect(Sharing::Nothing), FeedbackRule::Marginal);
+    let mut centralised = Centralised(prior().information().unwrap());
+    for step in 0..40 * PERIOD {
+        centralised.step(step, if step < LATE { &ROWS[..1] } else { &ROWS[..2] });
+        for (k, node) in nodes.iter_mut().enumerate().filter(|(k, _)| *k == 0 || step >= LATE) {
+            node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+        }
+        assert_eq!(nodes[0].is_due(), nodes[1].is_due());
+        if nodes[0].is_due() {
+            let period = (step + 1) / PERIOD;
+            for (k, node) in nodes.iter_mut().enumerate() {
+                let report = node.report();
+                assert_eq!((report.index, report.lineage.is_some()), (period, true));
+                station.receive(k, report, period as f64).unwrap();
+            }
+            let fused = station.fuse(period as f64);
+            for (node, answer) in nodes.iter_mut().zip(&fused.feedback) {
+                assert_eq!(node.take(answer.as_ref().unwrap()), Taken::Applied);
+            }
+            let all = centralised.0.gaussian().unwrap();
+            let off = (&fused.parameters.covariance - &all.covariance).amax() / all.covariance.amax();
+            assert!(off < 1e-10, "period {period}: covariance off by {off:e}");
+            let off = (&fused.parameters.mean - &all.mean).amax();
+            assert!(off < 1e-10, "period {period}: mean off by {off:e}");
+        }
+    }
+}
+
+/// Broke: samples of different instants were filtered as if they were of one.
+#[test]
+fn motion_goes_to_nodes_of_the_same_instant_only() {
+    let mut station = station(3, FusionRule::default(), FeedbackRule::Marginal);
+    station.settings.motion = MotionExchange::Samples(SampleExchange::new(&[1, 1, 1], 1));
+    let message = |instant: f64| LocalEstimate {
+        index: 1,
+        parameters: prior(),
+        lineage: Some(Lineage { own: 0, answers: Vec::new() }),
+        motion: Some(CompressedMotion { mean: DVector::repeat(1, instant), variance: DVector::zeros(0) }),
+        instant,
+    };
+    let sample = 1.0 / PERIOD as f64;
+    // in step; off by less than half a sample; of the period before, late
+    for (node, instant) in [7.0, 7.0 + 0.4 * sample, 6.0].into_iter().enumerate() {
+        station.receive(node, message(instant), 7.0).unwrap();
+    }
+    let fused = station.fuse(7.0);
+    assert_eq!(fused.used, 3, "the density of the late one counts");
+    let told = |node: usize| -> Vec<bool> {
+        fused.feedback[node].as_ref().unwrap().responses.iter().map(Option::is_some).collect()
+    };
+    assert_eq!([told(0), told(1), told(2)], [[true, true, false], [true, true, false], [false, false, true]]);
+    assert_eq!(fused.nodes.iter().map(|node| node.out_of_step).collect::<Vec<_>>(), [false, false, true]);
+}
+
+/// Broke: the station answered with its prior, and the nodes forgot what they knew.
+#[test]
+fn a_station_that_is_started_again_takes_over_what_the_nodes_know() {
+    let feedback = FeedbackRule::Marginal;
+    let mut nodes: Vec<_> = ROWS.iter().map(|row| node(*row, feedback)).collect();
+    let rule = FusionRule::PriorCorrect(Sharing::Nothing);
+    let mut running = station(4, rule, feedback);
+    let mut centralised = Centralised(prior().information().unwrap());
+    let mut before = prior();
+    for step in 0..40 * PERIOD {
+        centralised.step(step, &ROWS);
+        for (k, node) in nodes.iter_mut().enumerate() {
+            node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+        }
+        if !nodes[0].is_due() {
+            continue;
+        }
+        let period = (step + 1) / PERIOD;
+        if period == 20 {
+            running = station(4, rule, feedback);
+        }
+        for (k, node) in nodes.iter_mut().enumerate() {
+            running.receive(k, node.report(), period as f64).unwrap();
+        }
+        let fused = running.fuse(period as f64);
+        assert_eq!(fused.adopted, period == 20);
+        let all = centralised.0.gaussian().unwrap();
+        let more = &fused.parameters.covariance - &all.covariance;
+        assert!(more.symmetric_eigen().eigenvalues.min() > -1e-9, "period {period}");
+        if period == 20 {
+            // it had faded by a period, and the nodes have learnt since
+            let growth = fading().value().powi(PERIOD as i32);
+            let faded: Gaussian = Gaussian { covariance: &before.covariance * growth, ..before.clone() };
+            let lost = faded.covariance - &fused.parameters.covariance;
+            assert!(lost.symmetric_eigen().eigenvalues.min() > -1e-9, "it knows less than the nodes did before");
+        }
+        for (node, answer) in nodes.iter_mut().zip(&fused.feedback) {
+            assert_eq!(node.take(answer.as_ref().unwrap()), Taken::Applied);
+        }
+        before = fused.parameters;
     }
 }
 
@@ -339,6 +510,7 @@ fn a_node_that_was_wrong_is_used_again_after_so_many_regular_fusions() {
                     },
                     lineage: None,
                     motion: None,
+                    instant: index as f64,
                 };
                 station.receive(node, message, index as f64).unwrap();
             }

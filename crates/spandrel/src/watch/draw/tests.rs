@@ -1,11 +1,11 @@
 use super::super::heard::{Heard, Input};
-use super::super::testing::{alert, at, damaged_tower, heard, name, parameter, present, status};
+use super::super::testing::{alert, at, damaged_tower, heard, name, node, parameter, present, status};
 use super::*;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::crossterm::event::{KeyCode, KeyEvent};
 use ratatui::style::Color;
-use spandrel_bus::{AlertState, Service};
+use spandrel_bus::{AlertState, NodeHealth, Service};
 
 fn view(heard: Heard) -> View {
     let mut view = View::new("below spandrel".to_owned(), "anna".to_owned());
@@ -90,12 +90,15 @@ fn large_terminal_shows_the_trend_and_the_interval_in_numbers_too() {
     let rows = rows(&view(damaged_tower()), (140, 40));
     let (_, header) = row_with(&rows, "mean ± std   95 % interval");
     assert!(header.contains("last 62 s  0.80 ") && header.contains(" 1.05 "), "{header}");
-    let (_, storey_2) = row_with(&rows, "0.836 to 0.880");
+    let (_, storey_2) = row_with(&rows, "0.858 ± 0.011  0.836 to 0.880");
     assert!(storey_2.contains("▇▇▇▂▂▂"), "0.81 and 0.23 of the axis: {storey_2}");
     assert!(storey_2.contains("0.858 ± 0.011") && storey_2.contains("raised"), "{storey_2}");
     let (sentence, text) = row_with(&rows, "storey-2 has lost");
     assert!(text.contains("more than 5 % with probability 0.997"), "{text}");
     assert_eq!(rows[sentence + 1].trim_start(), "2024-02-29 12:00:40 UTC");
+    let now =
+        "now: loss 14.2 % (estimate 0.858, 95 % interval 0.836 to 0.880), more than 5.0 % with probability above 0.999";
+    assert_eq!(rows[sentence + 2].trim_start(), now);
 }
 
 #[test]
@@ -103,7 +106,7 @@ fn bars_of_all_parameters_stand_on_one_axis() {
     let rows = rows(&view(damaged_tower()), (140, 40));
     let limit = |part: &str| row_with(&rows, part).1.chars().position(|letter| letter == '┊' || letter == '╋');
     assert!(limit("storey-1").is_some());
-    assert_eq!(limit("0.836 to 0.880"), limit("storey-1"));
+    assert_eq!(limit("0.858 ± 0.011  0.836 to 0.880"), limit("storey-1"));
 }
 
 #[test]
@@ -260,4 +263,24 @@ fn heights_are_shared_so_that_the_chosen_panel_is_seen() {
     assert_eq!(share_out(9, &[12; 6], 3), [0, 0, 1, 7, 1, 0]);
     assert_eq!(share_out(3, &[12, 12], 0), [3, 0]);
     assert_eq!(share_out(0, &[12, 12], 1), [0, 0]);
+}
+
+#[test]
+fn nodes_that_identify_for_themselves_are_a_line_each_with_those_in_trouble_first() {
+    let mut tower = damaged_tower();
+    let mut excluded = node("floor-20", 60, NodeHealth::Excluded);
+    excluded.excluded_since_ns = Some(excluded.time_ns - 60_000_000_000);
+    let (alive, silent) = (node("floor-1", 60, NodeHealth::Used), node("floor-8", 60, NodeHealth::Silent));
+    for display in [alive, silent, excluded] {
+        tower.handle(Input::Node(display), &mut Vec::new());
+    }
+    let rows = rows(&view(tower), (140, 40));
+    let (counts, _) = row_with(&rows, "nodes        1 excluded · 1 silent · 1 alive");
+    let (excluded, text) = row_with(&rows, "node floor-20");
+    assert!(text.contains("✕ excluded since 2024-02-29 12:00:00 UTC  distance 2.1 of 5.4"), "{text}");
+    let (silent, text) = row_with(&rows, "node floor-8");
+    assert!(text.contains("○ silent"), "{text}");
+    let (alive, text) = row_with(&rows, "node floor-1 ");
+    assert!(text.contains("● alive"), "{text}");
+    assert_eq!([excluded, silent, alive], [counts + 1, counts + 2, counts + 3]);
 }

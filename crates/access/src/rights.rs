@@ -1,0 +1,208 @@
+//! What each role may do, on which keys: the one place where that is written.
+
+use spandrel_bus::{KeyFamily, Service};
+
+use crate::role::Role;
+use KeyFamily as K;
+
+/// A thing to do on a key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Right {
+    /// Put messages.
+    Put,
+    /// Receive what others put.
+    Subscribe,
+    /// Ask queries, and receive the replies.
+    Query,
+    /// Receive queries, and reply.
+    Answer,
+    /// Hold a liveliness token.
+    Announce,
+    /// Learn of the tokens of others.
+    Watch,
+}
+
+impl Right {
+    /// All rights.
+    pub const ALL: [Self; 6] = [Self::Put, Self::Subscribe, Self::Query, Self::Answer, Self::Announce, Self::Watch];
+
+    /// The right as a word.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Put => "put",
+            Self::Subscribe => "subscribe",
+            Self::Query => "query",
+            Self::Answer => "answer",
+            Self::Announce => "announce",
+            Self::Watch => "watch",
+        }
+    }
+}
+
+/// What people see, and what is kept for them.
+const DISPLAYED: [KeyFamily; 8] =
+    [K::Parameter, K::Noise, K::Outlier, K::ModelClass, K::Node, K::Alert, K::Acknowledge, K::Event];
+
+/// What the services of a worker put.
+const IDENTIFIED: [KeyFamily; 10] = [
+    K::Frames,
+    K::Estimates,
+    K::Parameter,
+    K::Noise,
+    K::Outlier,
+    K::ModelClass,
+    K::Node,
+    K::Feedback,
+    K::Event,
+    K::Description,
+];
+
+/// What a role may do. On a key of which parts are names, a party of one structure or node has that right for its own names only.
+#[must_use]
+pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
+    let each =
+        |right: Right, families: &[KeyFamily]| families.iter().map(|family| (right, *family)).collect::<Vec<_>>();
+    let of_service = |service: Service| vec![(Right::Put, K::Status(service)), (Right::Announce, K::Live(service))];
+    let watch_all = || Service::ALL.map(|service| (Right::Watch, K::Live(service))).to_vec();
+    let progress = |right: Right| Service::ALL.map(|service| (right, K::Progress(service))).to_vec();
+    let mut all = match role {
+        Role::Router => Vec::new(),
+        Role::Server => [Role::Worker, Role::Alert, Role::History, Role::Notify, Role::Operator].map(rights).concat(),
+        Role::Worker => [
+            each(Right::Subscribe, &[K::Samples, K::Frames, K::Local, K::Feedback]),
+            each(Right::Put, &IDENTIFIED),
+            each(Right::Query, &[K::Buffer, K::Recording]),
+            each(Right::Answer, &[K::Recording, K::EstimatesBuffer, K::Description]),
+            each(Right::Put, &[Service::Ingest, Service::Identify, Service::Fuse].map(K::Progress)),
+            progress(Right::Subscribe),
+            watch_all(),
+            [Service::Ingest, Service::Identify, Service::Fuse].map(of_service).concat(),
+        ]
+        .concat(),
+        Role::Alert => [
+            each(Right::Subscribe, &[K::Estimates, K::Acknowledge]),
+            each(Right::Put, &[K::Alert, K::Progress(Service::Alert)]),
+            each(Right::Query, &[K::EstimatesBuffer]),
+            each(Right::Answer, &[K::Alert, K::AlertLog]),
+            of_service(Service::Alert),
+        ]
+        .concat(),
+        Role::History => [
+            each(Right::Subscribe, &DISPLAYED),
+            each(Right::Query, &[K::Alert, K::AlertLog]),
+            each(Right::Watch, &[K::Live(Service::Alert)]),
+            each(Right::Answer, &[K::History, K::HistoryLog]),
+            of_service(Service::History),
+        ]
+        .concat(),
+        Role::Notify => [
+            each(Right::Subscribe, &[K::Alert]),
+            each(Right::Query, &[K::Alert]),
+            each(Right::Watch, &[K::Live(Service::Alert)]),
+            of_service(Service::Notify),
+        ]
+        .concat(),
+        Role::Viewer => [
+            each(Right::Subscribe, &DISPLAYED),
+            // what is read again after a restart is told from what arrives by the progress of ingest
+            each(Right::Subscribe, &[K::Estimates, K::Description, K::Progress(Service::Ingest)]),
+            each(Right::Subscribe, &Service::ALL.map(K::Status)),
+            each(Right::Query, &[K::Alert, K::Description, K::History, K::HistoryLog]),
+            watch_all(),
+        ]
+        .concat(),
+        Role::Dashboard => [rights(Role::Viewer), of_service(Service::Dashboard)].concat(),
+        Role::Operator => [rights(Role::Dashboard), each(Right::Put, &[K::Acknowledge])].concat(),
+        // a replayed or simulated record waits for those who read it, and asks ingest where it stands
+        Role::Gateway => [rights(Role::Sensor), each(Right::Query, &[K::Recording])].concat(),
+        Role::NodeWorker => [
+            each(Right::Subscribe, &[K::Samples, K::Feedback]),
+            each(Right::Query, &[K::Buffer]),
+            each(Right::Put, &[K::Local, K::Event]),
+            of_service(Service::Identify),
+        ]
+        .concat(),
+        Role::Sensor => [
+            each(Right::Put, &[K::Samples]),
+            each(Right::Answer, &[K::Buffer]),
+            each(Right::Announce, &[K::Live(Service::Sensor)]),
+            progress(Right::Subscribe),
+            watch_all(),
+        ]
+        .concat(),
+    };
+    all.sort_unstable();
+    all.dedup();
+    all
+}
+
+/// Whether the name in the keys of a family is that of a node, so that a party that is one node is kept to it.
+#[must_use]
+pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
+    match family {
+        K::Samples | K::Buffer | K::Local | K::Feedback => true,
+        // it announces itself, and watches others
+        K::Live(_) | K::Status(_) => matches!(right, Right::Announce | Right::Put),
+        K::Frames
+        | K::Recording
+        | K::Estimates
+        | K::EstimatesBuffer
+        | K::Parameter
+        | K::Noise
+        | K::ModelClass
+        | K::Node
+        | K::Outlier
+        | K::Event
+        | K::Alert
+        | K::Acknowledge
+        | K::Progress(_)
+        | K::Description
+        | K::History
+        | K::HistoryLog
+        | K::AlertLog => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn may(role: Role, right: Right, family: KeyFamily) -> bool {
+        rights(role).contains(&(right, family))
+    }
+
+    #[test]
+    fn nobody_but_sensors_puts_samples() {
+        let putters: Vec<Role> = Role::ALL.into_iter().filter(|role| may(*role, Right::Put, K::Samples)).collect();
+        assert_eq!(putters, [Role::Gateway, Role::Sensor]);
+    }
+
+    #[test]
+    fn those_who_look_put_nothing_but_their_own_status() {
+        let put = |role: Role| {
+            rights(role)
+                .into_iter()
+                .filter(|(right, _)| *right == Right::Put)
+                .map(|(_, family)| family)
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(put(Role::Viewer), []);
+        assert_eq!(put(Role::Dashboard), [K::Status(Service::Dashboard)]);
+        assert_eq!(put(Role::Operator), [K::Acknowledge, K::Status(Service::Dashboard)]);
+    }
+
+    #[test]
+    fn only_alert_and_the_server_decide_alerts() {
+        let deciders: Vec<Role> = Role::ALL.into_iter().filter(|role| may(*role, Right::Put, K::Alert)).collect();
+        assert_eq!(deciders, [Role::Server, Role::Alert]);
+    }
+
+    #[test]
+    fn a_sensor_does_not_hear_other_sensors() {
+        for family in [K::Samples, K::Frames, K::Estimates, K::Local] {
+            assert!(!may(Role::Sensor, Right::Subscribe, family), "{family:?}");
+        }
+        assert!(!may(Role::Sensor, Right::Query, K::Recording));
+    }
+}

@@ -1,0 +1,250 @@
+//! The configuration of the router of a site: certificates, and what each party may do.
+//!
+//! Zenoh matches a party by the common name of its certificate, and allows a message whose key expression lies within one of
+//! those of a rule. What a party does arrives at the router (ingress), what it is told leaves it (egress); both are ruled.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use serde_json::{Value, json};
+use spandrel_bus::{AROUND_THE_PAYLOAD, KeyFamily, MAX_MESSAGE_BYTES, Name, Service, in_order};
+
+use crate::error::AccessError;
+use crate::rights::{Right, is_of_node, rights};
+use crate::role::{Party, Role};
+
+/// Sessions at the same time; more are refused.
+const MAX_SESSIONS: usize = 1_000;
+/// Sessions that are being opened at the same time.
+const MAX_OPENING: usize = 64;
+
+/// What the file of a router is made of.
+#[derive(Clone, Debug)]
+pub struct RouterPlan<'p> {
+    /// First chunk of all keys.
+    pub root: &'p Name,
+    /// Where it listens, `quic/…`.
+    pub listen: &'p [String],
+    /// The certificate of the router, with its key and the authority.
+    pub certificate: &'p Path,
+    /// Key of that certificate.
+    pub key: &'p Path,
+    /// Certificate of the authority.
+    pub authority: &'p Path,
+    /// Everybody who may connect; routers among them are left out.
+    pub parties: &'p [Party],
+}
+
+/// Writes the file of a router, as `zenohd` and `spandrel router` take it.
+///
+/// # Errors
+/// An endpoint that is not `quic/…`, or a path that is not UTF-8.
+pub fn router_file(plan: &RouterPlan<'_>) -> Result<String, AccessError> {
+    if let Some(endpoint) = plan.listen.iter().find(|endpoint| !endpoint.starts_with("quic/")) {
+        return Err(AccessError::PlainEndpoint { endpoint: endpoint.clone() });
+    }
+    let (certificate, key, authority) = (text(plan.certificate)?, text(plan.key)?, text(plan.authority)?);
+    let listen: Vec<String> = plan.listen.iter().map(|endpoint| in_order(endpoint)).collect();
+    let largest = MAX_MESSAGE_BYTES + AROUND_THE_PAYLOAD;
+    let config = json!({
+        "mode": "router",
+        "listen": { "endpoints": listen },
+        "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
+        "adminspace": { "enabled": false },
+        "transport": {
+            "unicast": { "max_sessions": MAX_SESSIONS, "accept_pending": MAX_OPENING },
+            "link": {
+                "protocols": ["quic"],
+                "rx": { "max_message_size": largest },
+                "tls": {
+                    "root_ca_certificate": authority,
+                    "listen_certificate": certificate,
+                    "listen_private_key": key,
+                    "connect_certificate": certificate,
+                    "connect_private_key": key,
+                    "enable_mtls": true,
+                    "verify_name_on_connect": true,
+                    "close_link_on_expiration": true,
+                },
+            },
+        },
+        "low_pass_filter": [{
+            "id": "no larger than a message",
+            "flows": ["ingress"],
+            "messages": ["put", "delete", "query", "reply"],
+            "key_exprs": all_keys(plan.root),
+            "size_limit": MAX_MESSAGE_BYTES,
+        }],
+        "access_control": access_control(plan.root, plan.parties),
+    });
+    // a map of JSON values can always be written
+    let config = serde_json::to_string_pretty(&config).unwrap_or_default();
+    Ok(format!(
+        "// Router of a Spandrel site, written by `spandrel site router`; write it anew rather than change it.\n\
+         // Everybody shows a certificate of the authority; what is not allowed below is refused.\n\
+         {config}\n"
+    ))
+}
+
+fn text(path: &Path) -> Result<&str, AccessError> {
+    path.to_str().ok_or_else(|| AccessError::PathNotText { path: path.to_owned() })
+}
+
+/// A rule of Zenoh, and the subject that it is for.
+struct Rule {
+    id: String,
+    messages: Vec<&'static str>,
+    flow: &'static str,
+    keys: Vec<String>,
+}
+
+impl Rule {
+    fn json(&self) -> Value {
+        json!({
+            "id": self.id,
+            "permission": "allow",
+            "flows": [self.flow],
+            "messages": self.messages,
+            "key_exprs": self.keys,
+        })
+    }
+}
+
+fn access_control(root: &Name, parties: &[Party]) -> Value {
+    let mut rules = vec![known_to_all(root)];
+    let (mut subjects, mut policies) = (Vec::new(), Vec::new());
+    let parties: BTreeSet<&Party> = parties.iter().filter(|party| party.role() != Role::Router).collect();
+    for party in parties {
+        let of_party = rules_of(root, party);
+        let name = party.common_name();
+        let ids: Vec<&str> =
+            std::iter::once(KNOWN_TO_ALL).chain(of_party.iter().map(|rule| rule.id.as_str())).collect();
+        policies.push(json!({ "id": name, "rules": ids, "subjects": [name] }));
+        subjects.push(json!({ "id": name, "cert_common_names": [name] }));
+        rules.extend(of_party);
+    }
+    if subjects.is_empty() {
+        // without subjects Zenoh would allow nothing either, and warn of it
+        subjects.push(json!({ "id": "nobody", "cert_common_names": ["nobody"] }));
+        policies.push(json!({ "id": "nobody", "rules": [KNOWN_TO_ALL], "subjects": ["nobody"] }));
+    }
+    json!({
+        "enabled": true,
+        "default_permission": "deny",
+        "rules": rules.iter().map(Rule::json).collect::<Vec<_>>(),
+        "subjects": subjects,
+        "policies": policies,
+    })
+}
+
+const KNOWN_TO_ALL: &str = "who is there to read and to answer";
+
+/// Who puts learns that somebody subscribes, and who asks that somebody answers; the key expressions are no secret.
+fn known_to_all(root: &Name) -> Rule {
+    Rule {
+        id: KNOWN_TO_ALL.to_owned(),
+        messages: vec!["declare_subscriber", "declare_queryable"],
+        flow: "egress",
+        keys: all_keys(root),
+    }
+}
+
+/// All that is below the root: `**` does not match a chunk that begins with @, so that those are named.
+fn all_keys(root: &Name) -> Vec<String> {
+    let families = KeyFamily::all().into_iter().map(|family| family.expression(root, None, None));
+    let mut keys = vec![format!("{root}/**")];
+    keys.extend(families.filter(|key| key.contains("/@")));
+    keys
+}
+
+/// What a right is in messages that arrive at the router, and in messages that leave it.
+fn messages(right: Right) -> (Vec<&'static str>, Vec<&'static str>) {
+    match right {
+        Right::Put => (vec!["put"], vec![]),
+        Right::Subscribe => (vec!["declare_subscriber"], vec!["put"]),
+        Right::Query => (vec!["query"], vec!["reply"]),
+        Right::Answer => (vec!["declare_queryable", "reply"], vec!["query"]),
+        Right::Announce => (vec!["liveliness_token"], vec![]),
+        Right::Watch => (vec!["declare_liveliness_subscriber", "liveliness_query"], vec!["liveliness_token"]),
+    }
+}
+
+fn rules_of(root: &Name, party: &Party) -> Vec<Rule> {
+    let mut rules = Vec::new();
+    for right in Right::ALL {
+        let keys = keys_of(root, party, right);
+        if keys.is_empty() {
+            continue;
+        }
+        let (arriving, leaving) = messages(right);
+        for (flow, messages) in [("ingress", arriving), ("egress", leaving)] {
+            if !messages.is_empty() {
+                let id = format!("{} {} {flow}", party.common_name(), right.as_str());
+                rules.push(Rule { id, messages, flow, keys: keys.clone() });
+            }
+        }
+    }
+    rules
+}
+
+/// The key expressions on which a party has a right.
+#[must_use]
+pub fn keys_of(root: &Name, party: &Party, right: Right) -> Vec<String> {
+    let families: Vec<KeyFamily> =
+        rights(party.role()).into_iter().filter(|(of, _)| *of == right).map(|(_, family)| family).collect();
+    let structure = party.structure();
+    let mut keys = BTreeSet::new();
+    for family in &families {
+        let node = party.node().filter(|_| is_of_node(right, *family));
+        keys.insert(family.expression(root, structure, node));
+        // whoever looks at all services does so with one key expression, which none of theirs contains
+        let of_each: [fn(Service) -> KeyFamily; 3] = [KeyFamily::Progress, KeyFamily::Status, KeyFamily::Live];
+        let has_all = |of: fn(Service) -> KeyFamily| {
+            Service::ALL.iter().all(|service| families.contains(&of(*service)))
+                && Service::ALL.iter().any(|service| of(*service) == *family)
+        };
+        if node.is_none() && of_each.into_iter().any(has_all) {
+            keys.extend(family.expression_of_all_services(root, structure));
+        }
+    }
+    keys.into_iter().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn root() -> Name {
+        Name::new("spandrel").unwrap()
+    }
+
+    fn keys(party: &str, right: Right) -> Vec<String> {
+        keys_of(&root(), &party.parse().unwrap(), right)
+    }
+
+    #[test]
+    fn a_sensor_has_its_own_keys_only() {
+        assert_eq!(keys("sensor.tower.roof", Right::Put), ["spandrel/tower/sensor/roof/samples"]);
+        assert_eq!(keys("sensor.tower.roof", Right::Answer), ["spandrel/tower/sensor/roof/@buffer"]);
+        assert_eq!(keys("sensor.tower.roof", Right::Announce), ["spandrel/tower/live/sensor/roof"]);
+        assert_eq!(keys("gateway.tower", Right::Put), ["spandrel/tower/sensor/*/samples"]);
+    }
+
+    #[test]
+    fn who_watches_all_services_may_ask_for_all_at_once() {
+        assert!(keys("viewer.ada", Right::Watch).contains(&"spandrel/*/live/*/*".to_owned()));
+        assert!(keys("viewer.ada", Right::Subscribe).contains(&"spandrel/*/status/*/*".to_owned()));
+        assert_eq!(keys("notify.main", Right::Watch), ["spandrel/*/live/alert/*"]);
+    }
+
+    #[test]
+    fn a_router_listens_with_certificates_only() {
+        let listen = ["tcp/0.0.0.0:7447".to_owned()];
+        let path = Path::new("a.pem");
+        let root = root();
+        let plan =
+            RouterPlan { root: &root, listen: &listen, certificate: path, key: path, authority: path, parties: &[] };
+        let error = router_file(&plan).unwrap_err().to_string();
+        assert!(error.contains("tcp/0.0.0.0:7447") && error.contains("quic/"), "{error}");
+    }
+}

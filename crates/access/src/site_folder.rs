@@ -1,0 +1,290 @@
+//! The authority of a site and the certificates that it has issued: files in one folder.
+
+use std::fs::{DirBuilder, OpenOptions, Permissions};
+use std::io::{ErrorKind, Write};
+use std::net::IpAddr;
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+
+use jiff::civil::Date;
+use jiff::tz::TimeZone;
+use jiff::{Timestamp, ToSpan};
+use rcgen::{
+    BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
+    KeyUsagePurpose, SanType, date_time_ymd,
+};
+use spandrel_bus::{AUTHORITY_FILE, TlsConfig};
+
+use crate::error::AccessError;
+use crate::role::{Party, Role};
+
+/// File of the authority's private key.
+const AUTHORITY_KEY_FILE: &str = "authority.key";
+/// What the folder and its files allow: their owner, and nobody else.
+const FOLDER_MODE: u32 = 0o700;
+const FILE_MODE: u32 = 0o600;
+/// A certificate is valid from so many days ago on, for parties whose clock is behind.
+const VALID_BEFORE_DAYS: i64 = 2;
+/// The longest life of a certificate, days.
+const MAX_DAYS: u32 = 36_500;
+
+/// The folder of a site.
+#[derive(Clone, Debug)]
+pub struct SiteFolder {
+    folder: PathBuf,
+}
+
+/// Files that were written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Issued {
+    /// The certificate.
+    pub certificate: PathBuf,
+    /// Its private key.
+    pub key: PathBuf,
+    /// The day on which it ends, at 0:00 UTC.
+    pub expires: Date,
+}
+
+/// What is done about files that are there already.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Existing {
+    /// They stay, and it is an error.
+    Keep,
+    /// They are written anew.
+    Replace,
+}
+
+impl SiteFolder {
+    /// Makes an authority of this name in a folder, which is made if it is not there.
+    ///
+    /// # Errors
+    /// An authority that is there already, unless it is to be replaced; a folder that cannot be written.
+    pub fn create(folder: &Path, name: &str, days: u32, existing: Existing) -> Result<(Self, Issued), AccessError> {
+        let site = Self { folder: folder.to_owned() };
+        let made = DirBuilder::new().recursive(true).mode(FOLDER_MODE).create(folder);
+        made.map_err(|source| AccessError::File { what: "made", path: folder.to_owned(), source })?;
+        let (not_before, expires) = life(days)?;
+        let key = new_key()?;
+        let mut params = CertificateParams::default();
+        params.distinguished_name = common_name(&format!("authority.{name}"));
+        params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
+        params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
+        params.not_before = date_time_ymd(
+            i32::from(not_before.year()),
+            not_before.month().unsigned_abs(),
+            not_before.day().unsigned_abs(),
+        );
+        params.not_after =
+            date_time_ymd(i32::from(expires.year()), expires.month().unsigned_abs(), expires.day().unsigned_abs());
+        let made = params.self_signed(&key);
+        let certificate = made.map_err(|source| AccessError::Make { what: "authority", source })?;
+        let issued = Issued { certificate: site.authority(), key: folder.join(AUTHORITY_KEY_FILE), expires };
+        issued.write(&certificate.pem(), &key.serialize_pem(), existing)?;
+        Ok((site, issued))
+    }
+
+    /// The folder of a site that is there.
+    ///
+    /// # Errors
+    /// A folder without an authority.
+    pub fn open(folder: &Path) -> Result<Self, AccessError> {
+        for file in [AUTHORITY_FILE, AUTHORITY_KEY_FILE] {
+            if !folder.join(file).is_file() {
+                return Err(AccessError::NoSite { folder: folder.to_owned(), file });
+            }
+        }
+        Ok(Self { folder: folder.to_owned() })
+    }
+
+    /// The certificate of the authority.
+    #[must_use]
+    pub fn authority(&self) -> PathBuf {
+        self.folder.join(AUTHORITY_FILE)
+    }
+
+    /// The certificate of a party, whether it is there or not.
+    #[must_use]
+    pub fn certificate(&self, party: &Party) -> PathBuf {
+        self.folder.join(format!("{}.pem", party.common_name()))
+    }
+
+    /// The private key of a party, whether it is there or not.
+    #[must_use]
+    pub fn key(&self, party: &Party) -> PathBuf {
+        self.folder.join(format!("{}.key", party.common_name()))
+    }
+
+    /// Issues a certificate. Who is connected to under `hosts` may be a server too; all others are clients only, so that
+    /// what a sensor has cannot stand for the router.
+    ///
+    /// # Errors
+    /// A certificate that is there already, unless it is to be replaced; an authority that cannot be used or is over; a
+    /// router without hosts; a file that cannot be written.
+    pub fn issue(&self, party: &Party, hosts: &[String], days: u32, existing: Existing) -> Result<Issued, AccessError> {
+        if party.role() == Role::Router && hosts.is_empty() {
+            return Err(AccessError::NoHost { role: party.role() });
+        }
+        let (issuer, authority_expires) = self.issuer()?;
+        let (not_before, expires) = life(days)?;
+        let expires = expires.min(authority_expires);
+        let key = new_key()?;
+        let mut params = CertificateParams::default();
+        params.distinguished_name = common_name(&party.common_name());
+        params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
+        params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ClientAuth];
+        if !hosts.is_empty() {
+            params.extended_key_usages.push(ExtendedKeyUsagePurpose::ServerAuth);
+        }
+        params.subject_alt_names = hosts.iter().map(|host| alternative_name(host)).collect::<Result<_, _>>()?;
+        params.use_authority_key_identifier_extension = true;
+        params.not_before = date_time_ymd(
+            i32::from(not_before.year()),
+            not_before.month().unsigned_abs(),
+            not_before.day().unsigned_abs(),
+        );
+        params.not_after =
+            date_time_ymd(i32::from(expires.year()), expires.month().unsigned_abs(), expires.day().unsigned_abs());
+        let made = params.signed_by(&key, &issuer);
+        let certificate = made.map_err(|source| AccessError::Make { what: "certificate", source })?;
+        let issued = Issued { certificate: self.certificate(party), key: self.key(party), expires };
+        issued.write(&certificate.pem(), &key.serialize_pem(), existing)?;
+        // an authority whose key is another one's would issue what nobody accepts
+        TlsConfig::beside(issued.certificate.clone()).check()?;
+        Ok(issued)
+    }
+
+    /// Everybody who has a certificate here, in the order of their names.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub fn parties(&self) -> Result<Vec<Party>, AccessError> {
+        let unread = |source| AccessError::File { what: "read", path: self.folder.clone(), source };
+        let mut parties = Vec::new();
+        for entry in std::fs::read_dir(&self.folder).map_err(unread)? {
+            let name = entry.map_err(unread)?.file_name();
+            let common_name = name.to_str().and_then(|name| name.strip_suffix(".pem"));
+            parties.extend(common_name.and_then(|name| name.parse::<Party>().ok()));
+        }
+        parties.sort();
+        Ok(parties)
+    }
+
+    /// The router of this name, or the only one that has a certificate here.
+    ///
+    /// # Errors
+    /// None, or several and no name.
+    pub fn router(&self, name: Option<&str>) -> Result<Party, AccessError> {
+        let routers = self.parties()?.into_iter().filter(|party| party.role() == Role::Router);
+        let wanted = name.map(|name| Party::new(Role::Router, name)).transpose()?;
+        let mut found: Vec<Party> = routers.filter(|party| wanted.as_ref().is_none_or(|name| name == party)).collect();
+        match (found.pop(), found.is_empty()) {
+            (Some(router), true) => Ok(router),
+            (Some(last), false) => {
+                found.push(last);
+                Err(AccessError::SeveralRouters { folder: self.folder.clone(), found })
+            }
+            (None, _) => Err(AccessError::NoRouter { folder: self.folder.clone() }),
+        }
+    }
+
+    /// The authority, and the day on which it ends.
+    fn issuer(&self) -> Result<(Issuer<'static, KeyPair>, Date), AccessError> {
+        let (path, key_path) = (self.authority(), self.folder.join(AUTHORITY_KEY_FILE));
+        let read = |path: &Path| {
+            let read = std::fs::read_to_string(path);
+            read.map_err(|source| AccessError::File { what: "read", path: path.to_owned(), source })
+        };
+        let no_authority = || AccessError::NoAuthority { path: path.clone() };
+        let (certificate, key) = (read(&path)?, read(&key_path)?);
+        // the error could speak of the key
+        let key = KeyPair::from_pem(&key).map_err(|_| AccessError::Tls(damaged(&key_path)))?;
+        let (_, pem) = x509_parser::pem::parse_x509_pem(certificate.as_bytes()).map_err(|_| no_authority())?;
+        let parsed = pem.parse_x509().map_err(|_| no_authority())?;
+        let ends = Timestamp::from_second(parsed.validity().not_after.timestamp()).map_err(|_| no_authority())?;
+        let expires = ends.to_zoned(TimeZone::UTC).date();
+        if expires <= today() {
+            return Err(AccessError::AuthorityExpired { path, expired: expires.to_string() });
+        }
+        let issuer = Issuer::from_ca_cert_pem(&certificate, key).map_err(|_| no_authority())?;
+        Ok((issuer, expires))
+    }
+}
+
+fn damaged(path: &Path) -> spandrel_bus::TlsError {
+    spandrel_bus::TlsError::Damaged { what: "key", path: path.to_owned() }
+}
+
+fn today() -> Date {
+    Timestamp::now().to_zoned(TimeZone::UTC).date()
+}
+
+/// From when until when a certificate of so many days is valid.
+fn life(days: u32) -> Result<(Date, Date), AccessError> {
+    let refused = AccessError::Days { days };
+    if days == 0 || days > MAX_DAYS {
+        return Err(refused);
+    }
+    let today = today();
+    match (today.checked_sub(VALID_BEFORE_DAYS.days()), today.checked_add(i64::from(days).days())) {
+        (Ok(from), Ok(until)) => Ok((from, until)),
+        (Err(_), _) | (_, Err(_)) => Err(refused),
+    }
+}
+
+fn new_key() -> Result<KeyPair, AccessError> {
+    KeyPair::generate().map_err(|source| AccessError::Make { what: "key", source })
+}
+
+fn common_name(name: &str) -> DistinguishedName {
+    let mut distinguished_name = DistinguishedName::new();
+    distinguished_name.push(DnType::CommonName, name);
+    distinguished_name
+}
+
+fn alternative_name(host: &str) -> Result<SanType, AccessError> {
+    if let Ok(address) = host.parse::<IpAddr>() {
+        return Ok(SanType::IpAddress(address));
+    }
+    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '.');
+    let refused = || AccessError::Host { host: host.to_owned() };
+    if host.is_empty() || !host.chars().all(allowed) {
+        return Err(refused());
+    }
+    host.try_into().map(SanType::DnsName).map_err(|_| refused())
+}
+
+impl Issued {
+    /// Writes both files; the key first, so that no certificate is there without it.
+    fn write(&self, certificate: &str, key: &str, existing: Existing) -> Result<(), AccessError> {
+        if existing == Existing::Keep {
+            for path in [&self.certificate, &self.key] {
+                if path.exists() {
+                    return Err(AccessError::Exists { path: path.clone() });
+                }
+            }
+        }
+        write_private(&self.key, key, existing)?;
+        write_private(&self.certificate, certificate, existing)
+    }
+}
+
+fn write_private(path: &Path, text: &str, existing: Existing) -> Result<(), AccessError> {
+    let mut options = OpenOptions::new();
+    options.write(true).mode(FILE_MODE);
+    match existing {
+        Existing::Keep => options.create_new(true),
+        Existing::Replace => options.create(true).truncate(true),
+    };
+    let written = options.open(path).and_then(|mut file| {
+        // a file that was there keeps its mode unless told otherwise
+        file.set_permissions(Permissions::from_mode(FILE_MODE))?;
+        file.write_all(text.as_bytes())
+    });
+    written.map_err(|source| match source.kind() {
+        ErrorKind::AlreadyExists => AccessError::Exists { path: path.to_owned() },
+        _ => AccessError::File { what: "written", path: path.to_owned(), source },
+    })
+}
+
+#[cfg(test)]
+mod tests;

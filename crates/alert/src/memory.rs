@@ -1,0 +1,170 @@
+//! What the alert service remembers over its own death.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use spandrel_checkpoint::{CheckpointError, Checkpoints, Identity, Place, Remembering, fingerprint};
+use spandrel_structure::Structure;
+use tokio::time::Instant;
+use tracing::{info, warn};
+
+use crate::{Alert, AlertError, Baseline, Model, Watch};
+
+/// What the numbers in a state are numbers of.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Basis {
+    /// Names of the parameters by the numbers that alerts carry: those of the structure in state order, then those that
+    /// former structure files had and of which something is still told.
+    pub(crate) parameters: Vec<String>,
+    /// What the estimates rest on.
+    model: [u8; 32],
+}
+
+impl Basis {
+    pub(crate) fn of(structure: &Structure) -> Self {
+        let parameters = structure.parameters().iter().map(|parameter| parameter.name().to_owned()).collect();
+        Self { parameters, model: fingerprint(&structure.identification_basis()) }
+    }
+}
+
+/// The whole state of the service between two blocks of estimates.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct AlertState {
+    pub(crate) basis: Basis,
+    pub(crate) watch: Watch,
+    /// What follows from the last block, and may not have been put before the service died.
+    pub(crate) unsent: Vec<Alert>,
+    /// The last changes, oldest first, for those who were not there.
+    pub(crate) log: VecDeque<Alert>,
+    /// Time of the last estimate decided on, ns.
+    pub(crate) last_time_ns: Option<i64>,
+}
+
+/// Version of the layout of [`AlertState`]: raised with every change of a field in it or below.
+const VERSION: u16 = 2;
+
+impl AlertState {
+    /// The state of a service that has decided on nothing.
+    pub(crate) fn new(structure: &Structure, baseline: Option<&Baseline>) -> Result<Self, AlertError> {
+        Ok(Self {
+            basis: Basis::of(structure),
+            watch: Watch::new(structure, baseline)?,
+            unsent: Vec::new(),
+            log: VecDeque::new(),
+            last_time_ns: None,
+        })
+    }
+
+    /// Takes over what `former` remembers, which may rest on another structure file; what ends by that is among the alerts
+    /// that may not have been put.
+    pub(crate) fn succeed(mut self, former: Self) -> Self {
+        let names = &mut self.basis.parameters;
+        let told = former.unsent.iter().chain(&former.log).map(|alert| alert.parameter);
+        let watched = former.watch.decisions().iter().map(|decision| decision.subject().parameter);
+        for former in told.chain(watched).filter_map(|number| former.basis.parameters.get(number)) {
+            if !names.contains(former) {
+                names.push(former.clone());
+            }
+        }
+        let renumbered = |alert: Alert| {
+            let name = former.basis.parameters.get(alert.parameter)?;
+            let parameter = names.iter().position(|known| known == name)?;
+            Some(Alert { parameter, ..alert })
+        };
+        self.log = former.log.into_iter().filter_map(renumbered).collect();
+        self.unsent = former.unsent.into_iter().filter_map(renumbered).collect();
+        self.last_time_ns = former.last_time_ns;
+        let model = if former.basis.model == self.basis.model { Model::Same } else { Model::Changed };
+        let mut changes = Vec::new();
+        self.watch.succeed(&former.watch, names, model, &mut changes);
+        self.log.extend(changes.iter().cloned());
+        self.log.drain(..self.log.len().saturating_sub(CHANGES_KEPT));
+        self.unsent.extend(changes);
+        self
+    }
+
+    /// Whether every number is one of a parameter.
+    fn is_consistent(&self) -> bool {
+        let parameters = self.basis.parameters.len();
+        let told = self.unsent.iter().chain(&self.log).map(|alert| alert.parameter);
+        let watched = self.watch.decisions().iter().map(|decision| decision.subject().parameter);
+        self.watch.parameter_count() <= parameters && told.chain(watched).all(|number| number < parameters)
+    }
+}
+
+/// Changes that are kept for those who were not there.
+pub(crate) const CHANGES_KEPT: usize = 256;
+
+/// The checkpoints of the decisions on one structure.
+#[derive(Debug)]
+pub(crate) struct Memory {
+    checkpoints: Checkpoints,
+    every: Duration,
+    last: Instant,
+    kept: Option<Place>,
+    failures: u64,
+}
+
+impl Memory {
+    pub(crate) fn open(structure: &Structure, remembering: &Remembering) -> Result<Self, AlertError> {
+        // A state carries what its parts rest on: of another structure file, what still holds is taken over.
+        let basis = String::new();
+        let identity = Identity { kind: "alert", version: VERSION, of: structure.name().to_owned(), basis };
+        Ok(Self {
+            checkpoints: Checkpoints::open(&remembering.folder, identity)?,
+            every: remembering.every,
+            last: Instant::now(),
+            kept: None,
+            failures: 0,
+        })
+    }
+
+    /// Returns the newest state, if there is one that may be read.
+    pub(crate) fn recall(&mut self) -> Option<AlertState> {
+        loop {
+            let (place, state) = self.checkpoints.load_latest::<AlertState>().found?;
+            if state.is_consistent() {
+                info!(epoch = place.epoch, estimate = place.sequence, "goes on from its checkpoint");
+                self.kept = Some(place);
+                return Some(state);
+            }
+            drop(self.checkpoints.refuse(place, "it tells of parameters that it does not name".to_owned()));
+        }
+    }
+
+    /// Number of the first estimate of an epoch that would be needed again if the service died now.
+    pub(crate) fn kept(&self, epoch: u64) -> u64 {
+        self.kept.filter(|place| place.epoch == epoch).map_or(0, |place| place.sequence)
+    }
+
+    pub(crate) fn is_due(&self) -> bool {
+        self.last.elapsed() >= self.every
+    }
+
+    /// Keeps a state: on return it is on the disk, or its failure has been told. An alert is put all the same then.
+    pub(crate) fn keep(&mut self, state: &AlertState) {
+        let Some((epoch, sequence)) = state.watch.position() else {
+            return;
+        };
+        self.last = Instant::now();
+        let place = Place { epoch, sequence };
+        // Blocks the thread for the time of a write: called where the runtime knows.
+        let kept = self.checkpoints.save(place, state).and_then(|()| self.checkpoints.forget_before(Some(place)));
+        match kept {
+            Ok(()) => self.kept = Some(place),
+            Err(error) => self.failed(&error),
+        }
+    }
+
+    /// Told each time the count has doubled.
+    fn failed(&mut self, error: &CheckpointError) {
+        self.failures += 1;
+        if self.failures.is_power_of_two() {
+            warn!(%error, failures = self.failures, "decisions not kept: alerts may be put again after a crash");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,116 @@
+//! Items of a lossless stream that are no longer in memory.
+
+use crate::message::Block;
+use crate::range::QueryRange;
+use crate::ring::{ANSWER_BYTES, Ring};
+
+/// Where the source of a lossless stream keeps what its memory does not hold; read from a thread that may wait.
+pub trait Archive<B>: Send + Sync {
+    /// The items of `epoch` from number `after` on, or from the oldest one kept if that is later: at most `limit` items and
+    /// roughly `bytes` bytes. None if nothing is kept at or after that number of the epoch, or it cannot be read.
+    fn read(&self, epoch: u64, after: u64, limit: u64, bytes: usize) -> Option<B>;
+
+    /// The lowest epoch kept that is higher than this one.
+    fn epoch_after(&self, epoch: u64) -> Option<u64>;
+}
+
+/// What to read from an archive before the ring may answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Lookup {
+    epoch: u64,
+    after: u64,
+    limit: u64,
+    /// Epoch of the ring, which is the last one.
+    last_epoch: u64,
+}
+
+impl Lookup {
+    /// What an asker wants that the ring does not hold, if anything.
+    ///
+    /// An asker that has nothing yet gets the last `recent` items of the running epoch, not all that was ever kept.
+    pub(crate) fn of<B: Block>(ring: &Ring<B>, range: &QueryRange, recent: u64) -> Option<Self> {
+        let last_epoch = ring.epoch();
+        let limit = range.limit.max(1);
+        match range.epoch {
+            Some(epoch) if epoch > last_epoch => None,
+            Some(epoch) if epoch < last_epoch => Some(Self { epoch, after: range.after, limit, last_epoch }),
+            epoch => {
+                let oldest = if epoch.is_some() { 0 } else { ring.next().saturating_sub(recent) };
+                let after = range.after.max(oldest);
+                (after < ring.first()).then_some(Self { epoch: last_epoch, after, limit, last_epoch })
+            }
+        }
+    }
+
+    /// The items, or none if the ring must answer with what it has.
+    pub(crate) fn read<B: Block>(self, archive: &dyn Archive<B>) -> Option<B> {
+        let Self { mut epoch, mut after, limit, last_epoch } = self;
+        loop {
+            if let Some(block) = archive.read(epoch, after, limit, ANSWER_BYTES) {
+                return Some(block);
+            }
+            // Nothing more in this epoch: the asker goes on with the next one.
+            epoch = archive.epoch_after(epoch).filter(|next| *next <= last_epoch)?;
+            after = 0;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{frames, push};
+    use crate::{FrameBlock, StreamState};
+
+    /// Ten frames of epoch 1 and five of epoch 3.
+    struct Kept;
+
+    impl Archive<FrameBlock> for Kept {
+        fn read(&self, epoch: u64, after: u64, limit: u64, _bytes: usize) -> Option<FrameBlock> {
+            let end = match epoch {
+                1 => 10,
+                3 => 5,
+                _ => 0,
+            };
+            (after < end).then(|| frames(epoch, after, limit.min(end - after)))
+        }
+
+        fn epoch_after(&self, epoch: u64) -> Option<u64> {
+            [1, 3].into_iter().find(|kept| *kept > epoch)
+        }
+    }
+
+    fn found(ring: &Ring<FrameBlock>, after: u64, epoch: Option<u64>, recent: u64) -> Option<(u64, u64, u64)> {
+        let lookup = Lookup::of(ring, &QueryRange { after, limit: 100, epoch }, recent)?;
+        let block = lookup.read(&Kept)?;
+        Some((block.header.epoch, block.header.sequence, block.end()))
+    }
+
+    #[test]
+    fn what_the_ring_has_is_not_looked_up() {
+        let mut ring = Ring::new("source".into(), 3, 100).going_on(5, StreamState::Running);
+        push(&mut ring, &frames(3, 5, 5)).unwrap();
+        assert_eq!(found(&ring, 5, Some(3), 100), None);
+        assert_eq!(found(&ring, 10, Some(3), 100), None);
+        assert_eq!(found(&ring, 0, Some(4), 100), None, "an epoch that this source has not reached");
+    }
+
+    #[test]
+    fn what_it_has_not_comes_from_the_archive_epoch_by_epoch() {
+        let ring = Ring::new("source".into(), 3, 100).going_on(5, StreamState::Running);
+        assert_eq!(found(&ring, 2, Some(3), 100), Some((3, 2, 5)));
+        assert_eq!(found(&ring, 7, Some(1), 100), Some((1, 7, 10)));
+        assert_eq!(found(&ring, 10, Some(1), 100), Some((3, 0, 5)), "epoch 1 is over");
+        assert_eq!(found(&ring, 4, Some(2), 100), Some((3, 0, 5)), "nothing of epoch 2");
+        let empty = Ring::new("source".into(), 9, 100);
+        assert_eq!(found(&empty, 5, Some(3), 100), None, "epoch 3 is over, the ring answers");
+    }
+
+    #[test]
+    fn who_has_nothing_gets_what_is_recent() {
+        let ring = Ring::new("source".into(), 3, 100).going_on(5, StreamState::Running);
+        assert_eq!(found(&ring, 0, None, 100), Some((3, 0, 5)));
+        assert_eq!(found(&ring, 0, None, 2), Some((3, 3, 5)));
+        assert_eq!(found(&ring, 0, None, 0), None);
+    }
+}

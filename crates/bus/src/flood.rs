@@ -1,0 +1,138 @@
+//! Keeps a source that floods from taking the time of its readers: what comes too often on a key is dropped before it is decoded.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// Messages of one key that are taken per second, and at once: far above what a record at full speed puts (a few thousand per
+/// second), far below what a reader can decode.
+const PER_SECOND: u32 = 10_000;
+const AT_ONCE: u32 = 20_000;
+/// Keys that one reader tells apart; names come from structure files, so that no site has nearly as many.
+const MOST_KEYS: usize = 16_384;
+/// Longest key that is read, in bytes: longer than any that names of at most 64 bytes make.
+pub(crate) const MAX_KEY_BYTES: usize = 512;
+
+/// Messages that a key may still have, as of when.
+#[derive(Clone, Copy, Debug)]
+struct Allowance {
+    left: u32,
+    as_of: Duration,
+}
+
+/// Why a message is dropped before it is decoded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Flooded {
+    /// Too many messages on this key.
+    TooOften,
+    /// Too many keys.
+    TooManyKeys,
+    /// A key that is longer than any of ours.
+    KeyTooLong,
+}
+
+impl Flooded {
+    /// The reason under which it is counted.
+    pub(crate) fn reason(self) -> &'static str {
+        match self {
+            Self::TooOften => "flood",
+            Self::TooManyKeys => "too-many-keys",
+            Self::KeyTooLong => "key-too-long",
+        }
+    }
+}
+
+/// How much each key may still send. Times count from any moment, forwards.
+#[derive(Debug, Default)]
+pub(crate) struct FloodGate {
+    keys: BTreeMap<String, Allowance>,
+}
+
+impl FloodGate {
+    /// Takes a message of a key, or says why not.
+    pub(crate) fn take(&mut self, key: &str, now: Duration) -> Result<(), Flooded> {
+        if key.len() > MAX_KEY_BYTES {
+            return Err(Flooded::KeyTooLong);
+        }
+        if let Some(allowance) = self.keys.get_mut(key) {
+            return allowance.take(now);
+        }
+        if self.keys.len() >= MOST_KEYS {
+            // those that have been quiet are as good as new
+            self.keys.retain(|_, allowance| allowance.gained(now) < AT_ONCE);
+            if self.keys.len() >= MOST_KEYS {
+                return Err(Flooded::TooManyKeys);
+            }
+        }
+        self.keys.insert(key.to_owned(), Allowance { left: AT_ONCE - 1, as_of: now });
+        Ok(())
+    }
+}
+
+impl Allowance {
+    /// Messages that it may have now.
+    fn gained(&self, now: Duration) -> u32 {
+        let gained = now.saturating_sub(self.as_of).as_secs_f64() * f64::from(PER_SECOND);
+        // beyond u32 it saturates
+        self.left.saturating_add(gained as u32).min(AT_ONCE)
+    }
+
+    fn take(&mut self, now: Duration) -> Result<(), Flooded> {
+        let left = self.gained(now);
+        if left > self.left {
+            *self = Self { left, as_of: now };
+        }
+        self.left = self.left.checked_sub(1).ok_or(Flooded::TooOften)?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn taken(gate: &mut FloodGate, key: &str, count: u32, now: Duration) -> u32 {
+        (0..count).filter(|_| gate.take(key, now).is_ok()).count() as u32
+    }
+
+    #[test]
+    fn a_burst_passes_and_what_is_above_it_does_not() {
+        let mut gate = FloodGate::default();
+        assert_eq!(taken(&mut gate, "a", 30_000, Duration::ZERO), AT_ONCE);
+        assert_eq!(gate.take("a", Duration::ZERO), Err(Flooded::TooOften));
+        assert_eq!(taken(&mut gate, "b", 5, Duration::ZERO), 5);
+    }
+
+    #[test]
+    fn a_steady_rate_passes_for_ever_and_a_flood_gets_the_rate() {
+        let mut gate = FloodGate::default();
+        for tick in 0..100_u32 {
+            let now = Duration::from_millis(10) * tick;
+            assert_eq!(taken(&mut gate, "steady", PER_SECOND / 100, now), PER_SECOND / 100);
+        }
+        let mut flooding = 0;
+        for tick in 0..1000_u32 {
+            flooding += taken(&mut gate, "flood", 1000, Duration::from_millis(10) * tick);
+        }
+        assert!(flooding <= AT_ONCE + 10 * PER_SECOND && flooding > 9 * PER_SECOND, "{flooding}");
+    }
+
+    #[test]
+    fn messages_closer_than_one_allowance_still_add_up() {
+        let mut gate = FloodGate::default();
+        taken(&mut gate, "a", AT_ONCE, Duration::ZERO);
+        let often = (1..=10_000_u32).filter(|tick| gate.take("a", Duration::from_micros(50) * *tick).is_ok()).count();
+        assert!((4_000..=5_000).contains(&often), "{often} in half a second");
+    }
+
+    #[test]
+    fn keys_are_bounded_and_quiet_ones_give_way() {
+        let mut gate = FloodGate::default();
+        for key in 0..MOST_KEYS {
+            gate.take(&key.to_string(), Duration::ZERO).unwrap();
+        }
+        assert_eq!(gate.take("one more", Duration::ZERO), Err(Flooded::TooManyKeys));
+        assert_eq!(gate.keys.len(), MOST_KEYS);
+        assert_eq!(gate.take("one more", Duration::from_secs(60)), Ok(()));
+        assert_eq!(gate.take(&"k".repeat(MAX_KEY_BYTES + 1), Duration::ZERO), Err(Flooded::KeyTooLong));
+    }
+}

@@ -1,0 +1,38 @@
+//! From a sample of Zenoh to a message: limits first, then decoding.
+
+use std::time::{Duration, Instant};
+
+use zenoh::sample::Sample;
+
+use crate::flood::{FloodGate, Flooded};
+use crate::message::{DecodeError, MAX_MESSAGE_BYTES, Message};
+
+/// Reads a message; what is too large is not even brought into one piece.
+pub(crate) fn read<M: Message>(sample: &Sample) -> Result<M, DecodeError> {
+    let bytes = sample.payload().len();
+    if bytes > MAX_MESSAGE_BYTES {
+        return Err(DecodeError::TooLarge { bytes });
+    }
+    M::decode(&sample.encoding().to_string(), &sample.payload().to_bytes())
+}
+
+/// A [`FloodGate`] by the clock of the wall.
+#[derive(Debug)]
+pub(crate) struct Intake {
+    gate: FloodGate,
+    start: Instant,
+}
+
+impl Intake {
+    pub(crate) fn new() -> Self {
+        #[expect(clippy::disallowed_methods, reason = "floods are told by the clock of the wall")]
+        let start = Instant::now();
+        Self { gate: FloodGate::default(), start }
+    }
+
+    /// Takes a sample, or says why not.
+    pub(crate) fn take(&mut self, sample: &Sample) -> Result<(), Flooded> {
+        let since: Duration = self.start.elapsed();
+        self.gate.take(sample.key_expr().as_str(), since)
+    }
+}

@@ -1,0 +1,286 @@
+//! Certificates: checked before a session is opened, and again when one cannot be.
+
+use std::io::ErrorKind;
+use std::net::{Ipv4Addr, Ipv6Addr};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use quinn::ConnectionError;
+use quinn::crypto::rustls::QuicClientConfig;
+use rustls::client::WebPkiServerVerifier;
+use rustls::crypto::{CryptoProvider, ring};
+use rustls::pki_types::pem::{Error as PemError, PemObject};
+use rustls::pki_types::{CertificateDer, PrivateKeyDer, UnixTime};
+use rustls::server::WebPkiClientVerifier;
+use rustls::sign::CertifiedKey;
+use rustls::{AlertDescription, CertificateError, ClientConfig, RootCertStore};
+use serde::{Deserialize, Serialize};
+use tokio::time::timeout;
+use tracing::warn;
+
+/// File of the authority's certificate beside those that it has issued.
+pub const AUTHORITY_FILE: &str = "authority.pem";
+/// The protocol that Zenoh asks for on its links over QUIC with one stream.
+const ZENOH_OVER_QUIC: &[u8] = b"zenoh";
+/// From so long before its end on a certificate is warned of.
+const WARNED_BEFORE: Duration = Duration::from_secs(30 * 86_400);
+
+/// Who this session is to others, and whom it takes for one of the site.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TlsConfig {
+    /// Certificate of this session (PEM), as `spandrel site issue` writes it.
+    pub certificate: PathBuf,
+    /// Its private key (PEM); none: the file beside it that ends in `.key`.
+    #[serde(default)]
+    pub key: Option<PathBuf>,
+    /// Certificate of the authority of the site (PEM); none: [`AUTHORITY_FILE`] beside the certificate.
+    #[serde(default)]
+    pub authority: Option<PathBuf>,
+}
+
+/// Why a certificate cannot be used. Nothing here holds any part of a private key.
+#[derive(Debug, thiserror::Error)]
+pub enum TlsError {
+    /// A file cannot be read.
+    #[error("{what} {} cannot be read", path.display())]
+    File {
+        /// What the file is.
+        what: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// A file has no section of the kind that is needed.
+    #[error("{what} {}: has no PEM section of that kind, must have at least one", path.display())]
+    Empty {
+        /// What the file is.
+        what: &'static str,
+        /// The file.
+        path: PathBuf,
+    },
+    /// A file is not what it should be.
+    #[error("{what} {}: is damaged, or no such thing", path.display())]
+    Damaged {
+        /// What the file is.
+        what: &'static str,
+        /// The file.
+        path: PathBuf,
+    },
+    /// Key and certificate do not belong together.
+    #[error("key {} is not that of certificate {}", key.display(), certificate.display())]
+    KeyOfAnother {
+        /// The key.
+        key: PathBuf,
+        /// The certificate.
+        certificate: PathBuf,
+    },
+    /// The authority has not issued it, or it is over.
+    #[error("certificate {} is not accepted: {why} (authority {})", certificate.display(), authority.display())]
+    NotAccepted {
+        /// The certificate.
+        certificate: PathBuf,
+        /// The authority.
+        authority: PathBuf,
+        /// Why, in words.
+        why: String,
+    },
+}
+
+impl TlsConfig {
+    /// Certificate with key and authority beside it.
+    #[must_use]
+    pub fn beside(certificate: PathBuf) -> Self {
+        Self { certificate, key: None, authority: None }
+    }
+
+    /// The private key.
+    #[must_use]
+    pub fn key(&self) -> PathBuf {
+        self.key.clone().unwrap_or_else(|| self.certificate.with_extension("key"))
+    }
+
+    /// The certificate of the authority.
+    #[must_use]
+    pub fn authority(&self) -> PathBuf {
+        self.authority.clone().unwrap_or_else(|| self.certificate.with_file_name(AUTHORITY_FILE))
+    }
+
+    /// Makes relative paths count from a folder.
+    pub fn resolve(&mut self, folder: &Path) {
+        let paths = [Some(&mut self.certificate), self.key.as_mut(), self.authority.as_mut()];
+        for path in paths.into_iter().flatten() {
+            *path = folder.join(&path);
+        }
+    }
+
+    /// Reads all three files, and checks that they belong together and are valid now.
+    ///
+    /// # Errors
+    /// [`TlsError`] names the file.
+    pub fn check(&self) -> Result<(), TlsError> {
+        let (chain, _) = read_pair(&self.certificate, &self.key())?;
+        let authority = self.authority();
+        let roots = read_roots(&authority)?;
+        let refused = |why: String| TlsError::NotAccepted {
+            certificate: self.certificate.clone(),
+            authority: authority.clone(),
+            why,
+        };
+        let verifier = WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider()).build();
+        let verifier = verifier.map_err(|error| refused(error.to_string()))?;
+        let [own, intermediate @ ..] = chain.as_slice() else { return Ok(()) }; // read_pair has seen one
+        let valid = |at: UnixTime| verifier.verify_client_cert(own, intermediate, at);
+        valid(UnixTime::now()).map_err(|error| refused(in_words(&error)))?;
+        let soon = Duration::from_secs(UnixTime::now().as_secs()).saturating_add(WARNED_BEFORE);
+        if valid(UnixTime::since_unix_epoch(soon)).is_err() {
+            let certificate = self.certificate.display();
+            warn!(%certificate, "certificate ends within 30 days, spandrel site issue --replace makes a new one");
+        }
+        Ok(())
+    }
+
+    /// Tries to connect, only to learn why Zenoh could not: what is wrong with the certificates, if anything.
+    ///
+    /// # Errors
+    /// Nobody answers there.
+    pub(crate) async fn reach(&self, address: &str, host: &str, patience: Duration) -> std::io::Result<Option<String>> {
+        let Some(config) = self.client() else { return Ok(None) };
+        let Some(remote) = tokio::net::lookup_host(address).await?.next() else {
+            return Err(std::io::Error::new(ErrorKind::NotFound, "no such host"));
+        };
+        let any_port =
+            if remote.is_ipv4() { (Ipv4Addr::UNSPECIFIED, 0).into() } else { (Ipv6Addr::UNSPECIFIED, 0).into() };
+        let endpoint = quinn::Endpoint::client(any_port)?;
+        let Ok(connecting) = endpoint.connect_with(config, remote, host) else { return Ok(None) };
+        let no_answer = || std::io::Error::new(ErrorKind::TimedOut, "no answer");
+        let error = match timeout(patience, connecting).await.map_err(|_elapsed| no_answer())? {
+            Err(error) => error,
+            // what the other side thinks of our certificate comes after the handshake, in answer to nothing
+            Ok(connection) => match timeout(patience, connection.closed()).await {
+                Ok(error) => error,
+                Err(_elapsed) => return Ok(None),
+            },
+        };
+        Ok(match error {
+            ConnectionError::TransportError(error) => Some(in_words_of_alert(error.code.into(), &error.reason)),
+            ConnectionError::ConnectionClosed(close) => {
+                let reason = in_words_of_alert(close.error_code.into(), &String::from_utf8_lossy(&close.reason));
+                Some(format!("the other side refuses the certificate shown to it: {reason}"))
+            }
+            ConnectionError::TimedOut => return Err(no_answer()),
+            _ => None,
+        })
+    }
+
+    /// How Zenoh connects with these certificates.
+    fn client(&self) -> Option<quinn::ClientConfig> {
+        let (chain, key) = read_pair(&self.certificate, &self.key()).ok()?;
+        let roots = Arc::new(read_roots(&self.authority()).ok()?);
+        let verifier = WebPkiServerVerifier::builder_with_provider(roots, provider()).build().ok()?;
+        let mut config = ClientConfig::builder_with_provider(provider())
+            .with_protocol_versions(&[&rustls::version::TLS13])
+            .ok()?
+            .with_webpki_verifier(verifier)
+            .with_client_auth_cert(chain, key)
+            .ok()?;
+        config.alpn_protocols = vec![ZENOH_OVER_QUIC.to_vec()];
+        Some(quinn::ClientConfig::new(Arc::new(QuicClientConfig::try_from(config).ok()?)))
+    }
+}
+
+/// What an alert of TLS means that ended a connection over QUIC; `reason` for all that is none, or says more.
+fn in_words_of_alert(code: u64, reason: &str) -> String {
+    // RFC 9001, section 4.8: the alert is added to 0x100
+    let alert = code.checked_sub(0x100).and_then(|alert| u8::try_from(alert).ok()).map(AlertDescription::from);
+    match alert {
+        Some(AlertDescription::UnknownCA | AlertDescription::DecryptError) => {
+            "the authority has not issued it, or not for this use".to_owned()
+        }
+        Some(AlertDescription::CertificateExpired) => "it has expired, or is not valid yet".to_owned(),
+        Some(AlertDescription::CertificateRequired) => "none was shown".to_owned(),
+        Some(alert) if reason.is_empty() => format!("{alert:?}"),
+        Some(_) | None => reason.to_owned(),
+    }
+}
+
+/// Why a certificate of our own was refused.
+fn in_words(error: &rustls::Error) -> String {
+    match error {
+        rustls::Error::InvalidCertificate(
+            CertificateError::UnknownIssuer | CertificateError::BadSignature | CertificateError::InvalidPurpose,
+        ) => "the authority has not issued it, or not for this use".to_owned(),
+        rustls::Error::InvalidCertificate(CertificateError::ExpiredContext { time, not_after }) => {
+            let days = time.as_secs().saturating_sub(not_after.as_secs()) / 86_400;
+            format!("it expired {days} days ago")
+        }
+        rustls::Error::InvalidCertificate(CertificateError::NotValidYetContext { .. }) => {
+            "it is not valid yet; is the clock right?".to_owned()
+        }
+        rustls::Error::InvalidCertificate(other) => format!("its certificate is refused: {other}"),
+        other => other.to_string(),
+    }
+}
+
+fn provider() -> Arc<CryptoProvider> {
+    Arc::new(ring::default_provider())
+}
+
+/// Reads a certificate with what lies between it and its authority, and its key, and checks that they belong together.
+///
+/// # Errors
+/// [`TlsError`] names the file.
+pub fn read_pair(
+    certificate: &Path,
+    key: &Path,
+) -> Result<(Vec<CertificateDer<'static>>, PrivateKeyDer<'static>), TlsError> {
+    let chain = read_certificates("certificate", certificate)?;
+    let text = read("key", key)?;
+    let of_key = |error| pem_error("key", key, &error);
+    let private = PrivateKeyDer::from_pem_slice(&text).map_err(of_key)?;
+    match CertifiedKey::from_der(chain.clone(), private.clone_key(), &ring::default_provider()) {
+        Ok(_) => Ok((chain, private)),
+        Err(rustls::Error::InconsistentKeys(_)) => {
+            Err(TlsError::KeyOfAnother { key: key.to_owned(), certificate: certificate.to_owned() })
+        }
+        Err(rustls::Error::InvalidCertificate(_)) => {
+            Err(TlsError::Damaged { what: "certificate", path: certificate.to_owned() })
+        }
+        // the text of other errors could speak of the key
+        Err(_) => Err(TlsError::Damaged { what: "key", path: key.to_owned() }),
+    }
+}
+
+fn read_certificates(what: &'static str, path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
+    let text = read(what, path)?;
+    let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text).collect();
+    let chain = chain.map_err(|error| pem_error(what, path, &error))?;
+    match chain.is_empty() {
+        true => Err(TlsError::Empty { what, path: path.to_owned() }),
+        false => Ok(chain),
+    }
+}
+
+fn read_roots(path: &Path) -> Result<RootCertStore, TlsError> {
+    let mut roots = RootCertStore::empty();
+    for certificate in read_certificates("authority", path)? {
+        roots.add(certificate).map_err(|_| TlsError::Damaged { what: "authority", path: path.to_owned() })?;
+    }
+    Ok(roots)
+}
+
+fn read(what: &'static str, path: &Path) -> Result<Vec<u8>, TlsError> {
+    std::fs::read(path).map_err(|source| TlsError::File { what, path: path.to_owned(), source })
+}
+
+fn pem_error(what: &'static str, path: &Path, error: &PemError) -> TlsError {
+    match error {
+        PemError::NoItemsFound => TlsError::Empty { what, path: path.to_owned() },
+        _ => TlsError::Damaged { what, path: path.to_owned() },
+    }
+}
+
+#[cfg(test)]
+mod tests;

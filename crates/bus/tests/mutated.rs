@@ -1,0 +1,366 @@
+//! Real messages of every type, damaged in many ways: decoding gives an error or a message that is sound, never panics, and never
+//! takes more memory than the message itself accounts for.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+use proptest::prelude::*;
+use spandrel_bus::{
+    Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, Description, Estimate, EstimateBlock, EstimateFlags,
+    Event, FeedbackMessage, FrameBlock, Header, HistoryLog, HistorySpan, LocalDensity, LocalMessage, MAX_MESSAGE_BYTES,
+    MaskedSpan, Message, ModelClassDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay,
+    Pace, ParameterDisplay, Phase, Progress, SampleBlock, ScreenedChannel, Status, StreamState, ToldMotion,
+    ToldSamples,
+};
+
+use std::path::Path;
+
+/// What decoding may take beside the message: a list reserves at most 1 MiB ahead of its items, and lists lie in lists.
+const RESERVED_BYTES: u64 = 4 << 20;
+/// A byte of a message takes at most so many in memory: a number of JSON becomes eight bytes of a list that has doubled.
+const BYTES_PER_BYTE: u64 = 40;
+
+/// Decodes bytes as one type; what comes out must be sound.
+type Decode = fn(&[u8]);
+
+fn decode<M: Message>(bytes: &[u8]) {
+    if let Ok(message) = M::decode(&M::encoding(), bytes) {
+        message.check().unwrap();
+        message.encode().unwrap();
+    }
+}
+
+/// As [`decode`], and does with a block what its readers do.
+fn decode_block<B: Block>(bytes: &[u8]) {
+    if let Ok(block) = B::decode(&B::encoding(), bytes) {
+        let (mut front, mut back) = (block.clone(), block.clone());
+        front.truncate(block.count() / 2);
+        back.skip(block.count() / 2);
+        let _ = front.append(&back);
+        front.check().unwrap();
+    }
+}
+
+fn header() -> Header {
+    Header { source: "roof".into(), epoch: 3, sequence: 1_000, time_ns: 1_700_000_000_000_000_000 }
+}
+
+fn estimate() -> Estimate {
+    Estimate {
+        mean: vec![1.0, 0.9],
+        covariance: vec![0.01, 0.001, 0.02],
+        noise_mean: vec![0.5],
+        noise_covariance: vec![0.01],
+        innovations: vec![0.1, -0.2],
+        normalised_innovation_squared: 1.2,
+        log_evidence: -3.0,
+        used_channels: 2,
+        flags: EstimateFlags { phase: Phase::Working, restarted: false, prediction_only: false },
+    }
+}
+
+fn motion(count: usize) -> MotionNumbers {
+    MotionNumbers { mean: vec![0.1; count], variance: vec![0.01; count] }
+}
+
+/// A real message of each type with what decodes it.
+fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
+    fn binary<M: Message>(message: &M, decode: Decode) -> (&'static str, Vec<u8>, Decode) {
+        (M::TYPE, message.encode().unwrap(), decode)
+    }
+    fn text<M: Message>(text: &str) -> (&'static str, Vec<u8>, Decode) {
+        let message =
+            M::decode("application/json", text.as_bytes()).unwrap_or_else(|error| panic!("{error:?}: {text}"));
+        (M::TYPE, message.encode().unwrap(), decode::<M>)
+    }
+    let samples = SampleBlock {
+        header: header(),
+        sampling_rate_hz: 100.0,
+        pace: Pace::Live,
+        channels: 2,
+        samples: (0..20).map(f64::from).collect(),
+        state: StreamState::Running,
+    };
+    let frames = FrameBlock {
+        header: header(),
+        t0_ns: 0,
+        sampling_rate_hz: 100.0,
+        channels: 3,
+        values: (0..30).map(f64::from).collect(),
+        state: StreamState::Running,
+    };
+    let estimates = EstimateBlock {
+        header: header(),
+        t0_ns: 0,
+        sampling_rate_hz: 100.0,
+        parameters: 2,
+        noise_parameters: 1,
+        channels: 2,
+        estimates: vec![estimate(); 3],
+        state: StreamState::Running,
+    };
+    let local = LocalMessage {
+        header: header(),
+        pace: Pace::Live,
+        density: Some(LocalDensity {
+            mean: vec![1.0, 0.9],
+            covariance: vec![0.01, 0.001, 0.02],
+            lineage: Some(NodeLineage { own: 4, answers: vec![1, 2, 3] }),
+            motion: Some(ToldMotion::Samples(ToldSamples::new(&[0.1, f64::NAN, -3.2, 700.0], &[-5, 2]))),
+        }),
+        restarts: 1,
+        samples: 250,
+        screening: vec![
+            ScreenedChannel {
+                state: ChannelState::Screening,
+                rejected: 3,
+                screened: 1000,
+                recent_share: 0.01,
+                scale: 1e-3,
+                masked: Some(MaskedSpan { from_ns: 1, to_ns: 3, samples: 3 }),
+            };
+            2
+        ],
+        state: StreamState::Running,
+    };
+    let feedback = FeedbackMessage {
+        header: header(),
+        node_epoch: 2,
+        answers: 5,
+        nodes: 3,
+        mean: vec![1.0, 0.9],
+        covariance: vec![0.01, 0.001, 0.02],
+        motion: Some(motion(4)),
+        responses: vec![None, Some(ToldMotion::Numbers(motion(2))), None],
+    };
+    let alert = "{\"structure\":\"demo\",\"parameter\":\"storey-2\",\"time_ns\":5,\"state\":\"raised\",\"since_ns\":4,\
+                 \"rule_loss\":0.05,\"rule_credibility\":0.99,\"credibility\":1.0,\"loss\":0.1,\
+                 \"loss_interval\":{\"level\":0.95,\"low\":0.09,\"high\":0.11},\"mean\":0.9,\"std\":0.003,\"reference\":1.0,\
+                 \"reference_std\":0.0,\"acknowledged_by\":null,\"why\":\"it has lost 10 %\"}";
+    let seen = "{\"structure\":\"demo\",\"parameter\":\"storey-2\",\"time_ns\":5,\"who\":\"Grace\",\"note\":\"seen\"}";
+    let event = "{\"structure\":\"demo\",\"time_ns\":5,\"kind\":\"restart\",\"subject\":\"demo\",\"what\":\"filter restarted\",\
+                 \"why\":\"diverged\"}";
+    vec![
+        binary(&samples, decode_block::<SampleBlock>),
+        binary(&frames, decode_block::<FrameBlock>),
+        binary(&estimates, decode_block::<EstimateBlock>),
+        binary(&local, decode::<LocalMessage>),
+        binary(&feedback, decode::<FeedbackMessage>),
+        binary(&Progress { header: header(), done: 7, kept: 5 }, decode::<Progress>),
+        binary(&CaughtUp { header: header(), state: StreamState::Ended }, decode::<CaughtUp>),
+        text::<AlertMessage>(alert),
+        text::<Acknowledgement>(seen),
+        text::<Event>(event),
+        text::<ParameterDisplay>(
+            "{\"structure\":\"demo\",\"parameter\":\"storey-2\",\"time_ns\":5,\"mean\":1.0,\"std\":0.2,\
+             \"interval\":{\"level\":0.95,\"low\":0.6,\"high\":1.4},\"probability_of_loss\":0.4,\"loss\":0.05,\"reference\":1.0}",
+        ),
+        text::<NoiseDisplay>("{\"structure\":\"demo\",\"name\":\"ground\",\"time_ns\":5,\"mean\":1.0,\"std\":0.2}"),
+        text::<OutlierDisplay>(
+            "{\"structure\":\"demo\",\"channel\":\"roof\",\"time_ns\":5,\"state\":\"screening\",\"flagged\":1,\"rejected\":2,\
+             \"screened\":30,\"recent_share\":0.1,\"scale\":0.5,\"masked\":{\"from_ns\":1,\"to_ns\":2,\"samples\":3}}",
+        ),
+        text::<ModelClassDisplay>(
+            "{\"structure\":\"demo\",\"time_ns\":5,\"classes\":[{\"class\":\"baseline\",\"plausibility\":0.8},\
+             {\"class\":\"soft\",\"plausibility\":0.2}],\"leading\":\"baseline\",\"believed\":\"baseline\",\"calibrations\":1,\
+             \"calibration\":{\"time_ns\":4,\"class\":\"soft\",\"change\":-0.05}}",
+        ),
+        text::<NodeDisplay>(
+            "{\"structure\":\"demo\",\"node\":\"roof\",\"time_ns\":5,\"state\":\"used\",\"distance\":1.0,\"distance_limit\":3.0,\
+             \"excluded_since_ns\":null,\"excluded_share\":0.0,\"messages\":10,\"bytes_received\":1000,\"bytes_sent\":500,\
+             \"refused\":{\"flood\":1},\"restarts\":0}",
+        ),
+        text::<Status>(
+            "{\"structure\":\"demo\",\"service\":\"ingest\",\"id\":\"ingest\",\"time_ns\":5,\"lag_s\":0.1,\"done\":12,\
+             \"drops\":{\"lost-items\":1,\"fetched-items\":2},\"restarts\":0,\"version\":\"0.1.0\"}",
+        ),
+        text::<Description>("{\"structure\":\"demo\",\"text\":\"[structure]\\nname = \\\"demo\\\"\\n\"}"),
+        text::<HistorySpan>(
+            "{\"structure\":\"demo\",\"kind\":\"parameter\",\"name\":\"storey-2\",\"resolution_s\":60,\"kept_from_s\":1.0,\
+             \"rows\":{\"time_s\":[1.0,2.0],\"count\":[1,2],\"mean\":[1.0,1.0],\"std\":[0.1,0.1],\"spread\":[0.0,0.1],\
+             \"least\":[0.9,0.9],\"largest\":[1.1,1.1],\"low\":[0.8,0.8],\"high\":[1.2,1.2],\
+             \"probability_of_loss\":[0.0,0.1]}}",
+        ),
+        text::<HistoryLog>(&format!(
+            "{{\"structure\":\"demo\",\"alerts\":[{alert}],\"acknowledgements\":[{seen}],\"events\":[{event}]}}"
+        )),
+    ]
+}
+
+/// A way to damage a message.
+#[derive(Clone, Debug)]
+enum Damage {
+    Flip {
+        at: usize,
+        bit: u8,
+    },
+    Set {
+        at: usize,
+        to: u8,
+    },
+    Cut {
+        at: usize,
+        length: usize,
+    },
+    Repeat {
+        at: usize,
+        length: usize,
+        times: usize,
+    },
+    Insert {
+        at: usize,
+        bytes: Vec<u8>,
+    },
+    /// A varint that claims as many items as there can be.
+    Claim {
+        at: usize,
+    },
+    End {
+        at: usize,
+    },
+}
+
+fn damage() -> impl Strategy<Value = Damage> {
+    let at = || 0usize..2048;
+    prop_oneof![
+        (at(), 0u8..8).prop_map(|(at, bit)| Damage::Flip { at, bit }),
+        (at(), any::<u8>()).prop_map(|(at, to)| Damage::Set { at, to }),
+        (at(), 1usize..64).prop_map(|(at, length)| Damage::Cut { at, length }),
+        (at(), 1usize..64, 1usize..200).prop_map(|(at, length, times)| Damage::Repeat { at, length, times }),
+        (at(), proptest::collection::vec(any::<u8>(), 1..16)).prop_map(|(at, bytes)| Damage::Insert { at, bytes }),
+        at().prop_map(|at| Damage::Claim { at }),
+        at().prop_map(|at| Damage::End { at }),
+    ]
+}
+
+impl Damage {
+    fn apply(&self, message: &mut Vec<u8>) {
+        if message.is_empty() {
+            return;
+        }
+        let place = |at: usize| at % message.len();
+        match *self {
+            Self::Flip { at, bit } => {
+                let at = place(at);
+                message[at] ^= 1 << bit;
+            }
+            Self::Set { at, to } => {
+                let at = place(at);
+                message[at] = to;
+            }
+            Self::Cut { at, length } => {
+                let at = place(at);
+                message.drain(at..(at + length).min(message.len()));
+            }
+            Self::Repeat { at, length, times } => {
+                let at = place(at);
+                let end = (at + length).min(message.len());
+                let part = message[at..end].repeat(times);
+                message.splice(end..end, part);
+            }
+            Self::Insert { at, ref bytes } => {
+                let at = place(at);
+                message.splice(at..at, bytes.iter().copied());
+            }
+            Self::Claim { at } => {
+                let at = place(at);
+                let claim = [0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x01];
+                message.splice(at..=at, claim);
+            }
+            Self::End { at } => message.truncate(place(at)),
+        }
+    }
+}
+
+/// Decodes and checks what it took.
+#[track_caller]
+fn check(name: &str, bytes: &[u8], decode: Decode) {
+    let taken = allocation_counter::measure(|| decode(bytes));
+    let allowed = RESERVED_BYTES + BYTES_PER_BYTE * bytes.len() as u64;
+    assert!(taken.bytes_max <= allowed, "{name}: {} bytes took {} in memory", bytes.len(), taken.bytes_max);
+}
+
+#[test]
+fn every_type_is_among_them_and_decodes() {
+    let messages = messages();
+    assert_eq!(messages.len(), 19);
+    for (name, bytes, decode) in messages {
+        check(name, &bytes, decode);
+    }
+}
+
+/// The fuzzer starts from these messages, each behind the number of its type; `UPDATE_DOCS=1` writes them.
+#[test]
+fn the_fuzzer_starts_from_real_messages() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds/messages");
+    for (number, (name, bytes, _)) in messages().into_iter().enumerate() {
+        let path = folder.join(name);
+        let seed = [&[number as u8], &bytes[..]].concat();
+        if std::env::var_os("UPDATE_DOCS").is_some() {
+            std::fs::create_dir_all(&folder).unwrap();
+            std::fs::write(&path, &seed).unwrap();
+        }
+        let kept = std::fs::read(&path).unwrap_or_default();
+        assert!(kept == seed, "fuzz/seeds/messages/{name} is another message; UPDATE_DOCS=1 writes it anew");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 2000, ..ProptestConfig::default() })]
+
+    #[test]
+    fn damaged_messages_give_an_error_or_a_sound_message(
+        which in 0usize..19,
+        damages in proptest::collection::vec(damage(), 1..5),
+    ) {
+        let (name, mut bytes, decode) = messages().swap_remove(which);
+        damages.iter().for_each(|damage| damage.apply(&mut bytes));
+        check(name, &bytes, decode);
+    }
+
+    #[test]
+    fn messages_of_another_type_give_an_error_or_a_sound_message(from in 0usize..19, to in 0usize..19) {
+        let messages = messages();
+        let (name, _, decode) = messages[to];
+        check(name, &messages[from].1, decode);
+    }
+}
+
+#[test]
+fn what_is_claimed_is_not_reserved() {
+    for (name, bytes, decode) in messages() {
+        for at in 0..bytes.len() {
+            let mut claiming = bytes.clone();
+            Damage::Claim { at }.apply(&mut claiming);
+            check(name, &claiming, decode);
+        }
+    }
+}
+
+#[test]
+fn the_largest_message_takes_what_it_holds() {
+    // as many of the smallest items as there is room for: zeros are absent options, empty lists and small numbers
+    for (name, bytes, decode) in messages() {
+        for fill in [0_u8, 1, b'0', b'[', b' '] {
+            let mut large = bytes.clone();
+            large.resize(MAX_MESSAGE_BYTES, fill);
+            check(name, &large, decode);
+        }
+    }
+    // all of it one list of absent responses, of which each is one byte here and tens in memory
+    let feedback = FeedbackMessage {
+        header: header(),
+        node_epoch: 0,
+        answers: 0,
+        nodes: 0,
+        mean: vec![1.0],
+        covariance: vec![1.0],
+        motion: None,
+        responses: vec![None; 4096],
+    };
+    let mut bytes = feedback.encode().unwrap();
+    bytes.truncate(bytes.len() - 4096 - 2);
+    bytes.extend([0x80, 0x80, 0x80, 0x04]); // a claim of 8,388,608
+    bytes.resize(MAX_MESSAGE_BYTES, 0);
+    let taken = allocation_counter::measure(|| decode::<FeedbackMessage>(&bytes));
+    assert!(taken.bytes_max < 1 << 20, "8 MiB of absent responses took {} bytes", taken.bytes_max);
+}

@@ -1,0 +1,314 @@
+//! The checkpoints of one service and structure: one file for each place.
+
+use crate::envelope::{Identity, open, seal};
+use crate::error::{CheckpointError, Refusal};
+use serde::{Serialize, de::DeserializeOwned};
+use std::fs::{self, File};
+use std::io::Write;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use tracing::warn;
+
+/// Ending of the files.
+const ENDING: &str = "checkpoint";
+/// Ending that a refused file gets.
+const SET_ASIDE: &str = "refused";
+/// Nothing larger is read: a state of a thousand entries takes 8 MB.
+const MAX_BYTES: u64 = 1 << 30;
+/// Files kept at most, so that a reader that is away for ever fills no disk.
+const MOST_KEPT: usize = 64;
+
+/// An item of a numbered stream: the first one that is not in the state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Place {
+    /// Epoch of the stream.
+    pub epoch: u64,
+    /// Number of the item in it.
+    pub sequence: u64,
+}
+
+/// Where a service remembers, and how often.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Remembering {
+    /// Folder of the checkpoints of one structure.
+    pub folder: PathBuf,
+    /// Time between two checkpoints: what has to be done again after a crash.
+    pub every: Duration,
+}
+
+/// The checkpoints in a folder that are of one identity.
+#[derive(Debug, Clone)]
+pub struct Checkpoints {
+    folder: PathBuf,
+    identity: Identity,
+}
+
+/// What was found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Loaded<T> {
+    /// The state, and the place up to which it holds; none where there was none that may be read.
+    pub found: Option<(Place, T)>,
+    /// Files that may not be read, under their new names, and why.
+    pub refused: Vec<(PathBuf, Refusal)>,
+}
+
+impl Checkpoints {
+    /// Uses a folder, which is made if it is missing.
+    ///
+    /// # Errors
+    /// It cannot be made or read.
+    pub fn open(folder: &Path, identity: Identity) -> Result<Self, CheckpointError> {
+        let failed = |source| CheckpointError::Io { what: "make the folder", path: folder.to_owned(), source };
+        fs::create_dir_all(folder).map_err(failed)?;
+        let checkpoints = Self { folder: folder.to_owned(), identity };
+        checkpoints.places()?; // a folder that cannot be read is told of at the start
+        Ok(checkpoints)
+    }
+
+    /// Keeps a state; on return it is on the disk itself.
+    ///
+    /// # Errors
+    /// The disk is full, or the file system refuses; what was kept before is untouched.
+    pub fn save<T: Serialize>(&self, place: Place, state: &T) -> Result<(), CheckpointError> {
+        let kind = self.identity.kind;
+        let bytes = seal(&self.identity, state).map_err(|source| CheckpointError::Encode { kind, source })?;
+        let path = self.path(place);
+        let beside = path.with_extension("new");
+        let written = write_whole(&beside, &path, &bytes, &self.folder);
+        if written.is_err() {
+            let _ = fs::remove_file(&beside); // half of it may fill what little room there is
+        }
+        written
+    }
+
+    /// Renames the checkpoint of a place, whose state does not fit although its file is whole, so that it is not read again.
+    pub fn refuse(&self, place: Place, why: String) -> (PathBuf, Refusal) {
+        let why = Refusal::Content(why);
+        (set_aside(&self.path(place), &why), why)
+    }
+
+    /// Returns the newest state that may be read; files that may not are set aside.
+    #[must_use]
+    pub fn load_latest<T: DeserializeOwned>(&self) -> Loaded<T> {
+        self.load(self.places().unwrap_or_default().into_iter().rev())
+    }
+
+    /// Returns the oldest state that may be read; files that may not are set aside.
+    #[must_use]
+    pub fn load_oldest<T: DeserializeOwned>(&self) -> Loaded<T> {
+        self.load(self.places().unwrap_or_default().into_iter())
+    }
+
+    /// Forgets what nobody needs: all but the last two, the newest one at or before `needed`, and those after it.
+    ///
+    /// # Errors
+    /// A file cannot be removed.
+    pub fn forget_before(&self, needed: Option<Place>) -> Result<(), CheckpointError> {
+        let places = self.places()?;
+        let last_two = places.len().saturating_sub(2);
+        let base = match needed {
+            Some(needed) => places.partition_point(|place| *place <= needed).saturating_sub(1),
+            None => last_two,
+        };
+        let first = base.min(last_two).max(places.len().saturating_sub(MOST_KEPT));
+        for place in &places[..first] {
+            let path = self.path(*place);
+            fs::remove_file(&path).map_err(|source| CheckpointError::Io { what: "remove", path, source })?;
+        }
+        Ok(())
+    }
+
+    /// Returns the places of the files that are there, in their order.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub fn places(&self) -> Result<Vec<Place>, CheckpointError> {
+        let failed = |source| CheckpointError::Io { what: "read", path: self.folder.clone(), source };
+        let mut places = Vec::new();
+        for entry in fs::read_dir(&self.folder).map_err(failed)? {
+            let name = entry.map_err(failed)?.file_name();
+            places.extend(name.to_str().and_then(|name| self.place(name)));
+        }
+        places.sort_unstable();
+        Ok(places)
+    }
+
+    fn load<T: DeserializeOwned>(&self, places: impl Iterator<Item = Place>) -> Loaded<T> {
+        let mut refused = Vec::new();
+        for place in places {
+            let path = self.path(place);
+            match read(&path).and_then(|bytes| decode(&self.identity, &bytes)) {
+                Ok(state) => return Loaded { found: Some((place, state)), refused },
+                Err(why) => refused.push((set_aside(&path, &why), why)),
+            }
+        }
+        Loaded { found: None, refused }
+    }
+
+    fn path(&self, place: Place) -> PathBuf {
+        let Place { epoch, sequence } = place;
+        self.folder.join(format!("{}-{epoch:020}-{sequence:020}.{ENDING}", self.identity.kind))
+    }
+
+    fn place(&self, name: &str) -> Option<Place> {
+        let stem = name.strip_suffix(ENDING)?.strip_suffix('.')?;
+        let numbers = stem.strip_prefix(self.identity.kind)?.strip_prefix('-')?;
+        let (epoch, sequence) = numbers.split_once('-')?;
+        Some(Place { epoch: epoch.parse().ok()?, sequence: sequence.parse().ok()? })
+    }
+}
+
+fn write_whole(beside: &Path, path: &Path, bytes: &[u8], folder: &Path) -> Result<(), CheckpointError> {
+    let failed = |what| move |source| CheckpointError::Io { what, path: beside.to_owned(), source };
+    let mut file = File::create(beside).map_err(failed("create"))?;
+    file.write_all(bytes).map_err(failed("write"))?;
+    file.sync_all().map_err(failed("force to the disk"))?;
+    fs::rename(beside, path).map_err(failed("rename"))?;
+    let forced = File::open(folder).and_then(|folder| folder.sync_all());
+    forced.map_err(|source| CheckpointError::Io { what: "force to the disk", path: folder.to_owned(), source })
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, Refusal> {
+    let unreadable = |error: std::io::Error| Refusal::Unreadable(error.to_string());
+    let length = fs::metadata(path).map_err(unreadable)?.len();
+    if length > MAX_BYTES {
+        return Err(Refusal::Unreadable(format!("{length} bytes, a state has at most {MAX_BYTES}")));
+    }
+    fs::read(path).map_err(unreadable)
+}
+
+/// Opens a checkpoint. Where numbers in a state are absurd, what decodes its parts may panic (the sizes of a matrix overflow where
+/// that is checked): that file must not end the service at each of its starts.
+fn decode<T: DeserializeOwned>(identity: &Identity, bytes: &[u8]) -> Result<T, Refusal> {
+    let opened = catch_unwind(AssertUnwindSafe(|| open(identity, bytes)));
+    opened.unwrap_or_else(|_| Err(Refusal::Content("a number in it is absurd".to_owned())))
+}
+
+/// Renames a file, so that it is neither read again nor lost; returns its name from then on.
+fn set_aside(path: &Path, why: &Refusal) -> PathBuf {
+    let aside = path.with_extension(format!("{ENDING}.{SET_ASIDE}"));
+    match fs::rename(path, &aside) {
+        Ok(()) => {
+            warn!(file = %path.display(), renamed = %aside.display(), %why, "checkpoint refused");
+            aside
+        }
+        Err(error) => {
+            warn!(file = %path.display(), %why, %error, "checkpoint refused, and it cannot be renamed");
+            path.to_owned()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn checkpoints(folder: &Path) -> Checkpoints {
+        let identity = Identity { kind: "identify", version: 1, of: "tower".into(), basis: "text".into() };
+        Checkpoints::open(folder, identity).unwrap()
+    }
+
+    fn at(epoch: u64, sequence: u64) -> Place {
+        Place { epoch, sequence }
+    }
+
+    #[test]
+    fn newest_and_oldest_are_found_in_the_order_of_epochs_and_numbers() {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoints = checkpoints(&folder.path().join("not/yet/there"));
+        assert_eq!(checkpoints.load_latest::<u64>(), Loaded { found: None, refused: vec![] });
+        for place in [at(2, 5), at(1, 900), at(2, 40)] {
+            checkpoints.save(place, &place.sequence).unwrap();
+        }
+        assert_eq!(checkpoints.load_latest::<u64>().found, Some((at(2, 40), 40)));
+        assert_eq!(checkpoints.load_oldest::<u64>().found, Some((at(1, 900), 900)));
+    }
+
+    #[test]
+    fn what_somebody_still_needs_is_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoints = checkpoints(folder.path());
+        let kept = |needed: Option<Place>| {
+            for sequence in [10, 20, 30, 40, 50] {
+                checkpoints.save(at(1, sequence), &sequence).unwrap();
+            }
+            checkpoints.forget_before(needed).unwrap();
+            checkpoints.places().unwrap().iter().map(|place| place.sequence).collect::<Vec<_>>()
+        };
+        assert_eq!(kept(Some(at(1, 25))), [20, 30, 40, 50]);
+        assert_eq!(kept(Some(at(1, 30))), [30, 40, 50]);
+        assert_eq!(kept(Some(at(1, 5))), [10, 20, 30, 40, 50]);
+        assert_eq!(kept(Some(at(0, 500))), [10, 20, 30, 40, 50]);
+        assert_eq!(kept(Some(at(2, 0))), [40, 50]);
+        assert_eq!(kept(None), [40, 50]);
+    }
+
+    #[test]
+    fn who_is_away_for_ever_does_not_fill_the_disk() {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoints = checkpoints(folder.path());
+        for sequence in 0..70 {
+            checkpoints.save(at(1, sequence), &sequence).unwrap();
+        }
+        checkpoints.forget_before(Some(at(1, 0))).unwrap();
+        assert_eq!(checkpoints.places().unwrap().len(), MOST_KEPT);
+    }
+
+    #[test]
+    fn a_damaged_file_is_set_aside_and_the_one_before_it_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoints = checkpoints(folder.path());
+        checkpoints.save(at(1, 1), &1_u64).unwrap();
+        checkpoints.save(at(1, 2), &2_u64).unwrap();
+        let newest = checkpoints.path(at(1, 2));
+        let bytes = fs::read(&newest).unwrap();
+        fs::write(&newest, &bytes[..bytes.len() - 1]).unwrap();
+        let loaded = checkpoints.load_latest::<u64>();
+        assert_eq!(loaded.found, Some((at(1, 1), 1)));
+        let [(aside, Refusal::Damaged)] = &loaded.refused[..] else { panic!("{:?}", loaded.refused) };
+        assert!(aside.is_file() && !newest.exists());
+        assert_eq!(checkpoints.load_latest::<u64>().refused, []);
+    }
+
+    // Sizes of a matrix whose product overflows ended the service at each start.
+    #[test]
+    fn a_state_whose_decoding_panics_is_set_aside_like_a_damaged_one() {
+        #[derive(Debug, PartialEq)]
+        struct Sized(u64);
+        impl<'de> serde::Deserialize<'de> for Sized {
+            fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+                let size = u64::deserialize(from)?;
+                Ok(Self(size.checked_mul(size).expect("a size")))
+            }
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoints = checkpoints(folder.path());
+        checkpoints.save(at(1, 1), &3_u64).unwrap();
+        checkpoints.save(at(1, 2), &u64::MAX).unwrap();
+        let loaded = checkpoints.load_latest::<Sized>();
+        assert_eq!(loaded.found, Some((at(1, 1), Sized(9))));
+        assert!(matches!(&loaded.refused[..], [(_, Refusal::Content(_))]), "{:?}", loaded.refused);
+        assert_eq!(checkpoints.places().unwrap(), [at(1, 1)]);
+    }
+
+    #[test]
+    fn files_of_others_and_half_written_ones_are_not_looked_at() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["identify-1.checkpoint", "identify-a-b.checkpoint", "alert-1-1.checkpoint", "identify-1-1.new"] {
+            fs::write(folder.path().join(name), "x").unwrap();
+        }
+        let loaded = checkpoints(folder.path()).load_latest::<u64>();
+        assert_eq!((loaded.found, loaded.refused.len()), (None, 0));
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        fs::write(&file, "").unwrap();
+        let identity = Identity { kind: "identify", version: 1, of: "tower".into(), basis: String::new() };
+        let error = Checkpoints::open(&file.join("below"), identity).unwrap_err().to_string();
+        assert!(error.contains("file/below"), "{error}");
+    }
+}

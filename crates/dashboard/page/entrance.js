@@ -1,0 +1,52 @@
+// Asks for a token where the server wants one. The token is sent once, and kept nowhere on this page.
+
+import { h, setText } from "./dom.js";
+
+const ADDRESS = "/api/session";
+/** Pause between questions whether the session has ended (ms). */
+const ASKED_EVERY_MS = 5000;
+
+/** Returns once this browser is let in; shows a form until then. */
+export async function letIn(place) {
+  if (!(await isRefused())) return;
+  await new Promise((resolve) => place.replaceChildren(form(resolve)));
+}
+
+/** Loads the page anew, and so asks for a token again, when the session has ended. */
+export function watchSession(connection) {
+  let asked = 0;
+  connection.on("state", async () => {
+    if (connection.isOpen || performance.now() - asked < ASKED_EVERY_MS) return;
+    asked = performance.now();
+    if (await isRefused()) location.reload();
+  });
+}
+
+/** Whether the server answers and does not know who asks. */
+async function isRefused() {
+  try {
+    return (await fetch(ADDRESS)).status === 401;
+  } catch {
+    return false;
+  }
+}
+
+function form(done) {
+  const told = h("p", { class: "empty", role: "alert" }, "");
+  const token = h("input", { type: "password", name: "token", autocomplete: "current-password", required: true, id: "token" });
+  const submit = async (event) => {
+    event.preventDefault();
+    const body = JSON.stringify({ token: token.value });
+    try {
+      const response = await fetch(ADDRESS, { method: "POST", headers: { "content-type": "application/json" }, body });
+      if (response.ok) return done();
+      const { error, allowed } = await response.json();
+      setText(told, `${error}; ${allowed}`);
+    } catch {
+      setText(told, "Spandrel does not answer.");
+    }
+    token.value = "";
+    token.focus();
+  };
+  return h("form", { class: "empty", id: "entrance", onsubmit: submit }, h("label", { for: "token" }, "Token "), token, " ", h("button", { type: "submit" }, "Enter"), told);
+}

@@ -1,0 +1,39 @@
+// The nodes that identify for themselves, each in a row as its station sees it.
+
+import { h, keyed, setText } from "./dom.js";
+import { NODES, bytes, number, percent, time } from "./words.js";
+
+const HEADS = ["Node", "State", "Distance (regular up to)", "Left out since", "Last heard", "Sent by it", "Sent to it"];
+
+export class NodeTable {
+  constructor() {
+    this.rows = h("tbody");
+    const heads = h("tr", {}, HEADS.map((text) => h("th", { scope: "col" }, text)));
+    this.element = h("div", { class: "scroll" }, h("table", { class: "nodes" }, h("thead", {}, heads), this.rows));
+  }
+
+  /** `nodes` by name, as the station tells of them; in the order of the structure file. */
+  update(names, nodes) {
+    const make = () => {
+      const cells = HEADS.map((text, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", column >= 2 ? { class: "number" } : {})));
+      return { element: h("tr", {}, cells), cells };
+    };
+    keyed(this.rows, names.filter((name) => nodes[name]), (name) => name, make, (row, name) => this.#fill(row, nodes[name]));
+  }
+
+  #fill({ element, cells }, node) {
+    const state = NODES[node.state];
+    const seconds = (time_ns) => (time_ns === null ? "–" : time(time_ns / 1e9));
+    const since = node.state === "silent" && node.silent_since_ns !== null ? ` since ${seconds(node.silent_since_ns)}` : "";
+    const share = node.excluded_share > 0.005 ? ` (${percent(node.excluded_share, 0)} of late)` : "";
+    element.dataset.level = state.level;
+    element.dataset.node = node.node;
+    setText(cells[0], node.node);
+    setText(cells[1], `${state.sign} ${state.word}${since}`);
+    setText(cells[2], node.distance === null ? "–" : `${number(node.distance)}${node.distance_limit === null ? "" : ` (${number(node.distance_limit)})`}`);
+    setText(cells[3], `${seconds(node.excluded_since_ns)}${share}`);
+    setText(cells[4], seconds(node.heard_ns));
+    setText(cells[5], bytes(node.bytes_received));
+    setText(cells[6], bytes(node.bytes_sent));
+  }
+}

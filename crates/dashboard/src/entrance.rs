@@ -1,0 +1,155 @@
+//! What stands before every request: who asks, from where, and under which name.
+
+use crate::api::Mistake;
+use crate::door::ClientAddress;
+use crate::gate::{Refusal, Visitor};
+use crate::health::{LIVE_PATH, READY_PATH};
+use crate::page::ASSETS;
+use crate::server::Server;
+use crate::tokens::PageRole;
+use axum::extract::rejection::JsonRejection;
+use axum::extract::{ConnectInfo, Request, State};
+use axum::http::header::{HOST, RETRY_AFTER, SET_COOKIE};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use axum::{Extension, Json};
+use serde::Deserialize;
+use serde_json::json;
+use spandrel_bus::is_loopback;
+use std::sync::Arc;
+
+/// Where a browser shows its token.
+pub(crate) const SESSION_PATH: &str = "/api/session";
+
+/// Lets a request pass, or answers it. The files of the page are for everybody: there is nothing of a site in them.
+pub(crate) async fn pass(
+    State(server): State<Arc<Server>>,
+    ConnectInfo(address): ConnectInfo<ClientAddress>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    if server.gate().is_open() {
+        return match check_host(request.headers()) {
+            Ok(()) => next.run(request).await,
+            Err(mistake) => mistake.into_response(),
+        };
+    }
+    let path = request.uri().path();
+    let is_free =
+        [SESSION_PATH, LIVE_PATH, READY_PATH].contains(&path) || ASSETS.iter().any(|asset| asset.path == path);
+    if is_free {
+        return next.run(request).await;
+    }
+    match server.gate().admit(request.headers(), address.0, server.since_start()) {
+        Ok(visitor) if request.method() == Method::GET || visitor.role == PageRole::Operator => {
+            request.extensions_mut().insert(visitor);
+            next.run(request).await
+        }
+        Ok(_) => {
+            let what = "this token is one of a viewer, who reads";
+            Mistake::new(StatusCode::FORBIDDEN, what, "must be a token of an operator").into_response()
+        }
+        Err(refusal) => refused(refusal),
+    }
+}
+
+/// Without tokens the page is for this machine only. The page of another site can give a name of its own the address of this
+/// machine, and would then read here what it likes; under that name it is not answered.
+fn check_host(headers: &HeaderMap) -> Result<(), Mistake> {
+    let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
+    let name = match host.rsplit_once(':') {
+        Some((name, port)) if port.bytes().all(|byte| byte.is_ascii_digit()) => name,
+        Some(_) | None => host,
+    };
+    let name = name.strip_prefix('[').and_then(|name| name.strip_suffix(']')).unwrap_or(name);
+    match is_loopback(name) {
+        true => Ok(()),
+        false => {
+            let allowed =
+                "must be an address of this machine, such as 127.0.0.1; dashboard.tokens opens the page to others";
+            Err(Mistake::new(StatusCode::FORBIDDEN, "the page is asked for under a foreign name", allowed))
+        }
+    }
+}
+
+fn refused(refusal: Refusal) -> Response {
+    match refusal {
+        Refusal::Unknown => {
+            let allowed = "must have a token (Authorization: Bearer TOKEN), which spandrel token makes";
+            Mistake::new(StatusCode::UNAUTHORIZED, "no valid token", allowed).into_response()
+        }
+        Refusal::Later(pause) => {
+            let seconds = pause.as_secs().max(1);
+            let what = "too many wrong tokens from this address";
+            let mistake = Mistake::new(StatusCode::TOO_MANY_REQUESTS, what, format!("must wait for {seconds} s"));
+            let mut response = mistake.into_response();
+            response.headers_mut().insert(RETRY_AFTER, HeaderValue::from(seconds));
+            response
+        }
+    }
+}
+
+/// A token, as the page sends it.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Shown {
+    token: String,
+}
+
+/// Says whether a token is needed, and who shows one.
+pub(crate) async fn who(
+    State(server): State<Arc<Server>>,
+    ConnectInfo(address): ConnectInfo<ClientAddress>,
+    headers: HeaderMap,
+) -> Response {
+    if server.gate().is_open() {
+        return Json(json!({"open": true})).into_response();
+    }
+    match server.gate().admit(&headers, address.0, server.since_start()) {
+        Ok(Visitor { name, role }) => Json(json!({"open": false, "name": name, "role": role})).into_response(),
+        Err(refusal) => refused(refusal),
+    }
+}
+
+/// Takes a token and begins a session.
+pub(crate) async fn enter(
+    State(server): State<Arc<Server>>,
+    ConnectInfo(address): ConnectInfo<ClientAddress>,
+    headers: HeaderMap,
+    shown: Result<Json<Shown>, JsonRejection>,
+) -> Result<Response, Mistake> {
+    crate::api::check_origin(&headers)?;
+    // what serde says of a wrong body could quote the token
+    let allowed = "must be {\"token\": \"…\"}";
+    let Ok(Json(Shown { token })) = shown else {
+        return Err(Mistake::new(StatusCode::BAD_REQUEST, "the body is no token", allowed));
+    };
+    let now = server.since_start();
+    let visitor = match server.gate().check(token.trim(), address.0, now) {
+        Ok(visitor) => visitor,
+        Err(refusal) => return Ok(refused(refusal)),
+    };
+    let answer = json!({"open": false, "name": visitor.name, "role": visitor.role});
+    let cookie = server.gate().begin(visitor, now);
+    let cookie =
+        cookie.map_err(|error| Mistake::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string(), "try again"))?;
+    Ok(([(SET_COOKIE, cookie)], Json(answer)).into_response())
+}
+
+/// Ends a session.
+pub(crate) async fn leave(State(server): State<Arc<Server>>, headers: HeaderMap) -> Result<Response, Mistake> {
+    crate::api::check_origin(&headers)?;
+    let cookie = server.gate().end(&headers);
+    let cookie =
+        cookie.map_err(|error| Mistake::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string(), "try again"))?;
+    Ok(([(SET_COOKIE, cookie)], Json(json!({"left": true}))).into_response())
+}
+
+/// Who acknowledges: what somebody calls themselves, and whose token it is.
+pub(crate) fn signed(who: String, visitor: Option<&Extension<Visitor>>) -> String {
+    match visitor {
+        Some(Extension(Visitor { name, .. })) if *name.as_str() != who => format!("{who} ({name})"),
+        Some(_) | None => who,
+    }
+}

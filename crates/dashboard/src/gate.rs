@@ -1,0 +1,279 @@
+//! Who is let in: tokens, the sessions of browsers that have shown one, and a limit for wrong ones.
+
+use crate::error::DashboardError;
+use crate::tokens::{PageRole, Tokens, hash, hexadecimal, random};
+use axum::http::header::{AUTHORIZATION, COOKIE};
+use axum::http::{HeaderMap, HeaderValue};
+use spandrel_bus::Name;
+use std::collections::BTreeMap;
+use std::net::IpAddr;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// How long a browser need not show its token again.
+const SESSION_LASTS: Duration = Duration::from_secs(12 * 3600);
+/// Most sessions at the same time; the oldest gives way.
+const MOST_SESSIONS: usize = 1024;
+/// Wrong tokens that one address may show at once, and how often it gets one more.
+const WRONG_AT_ONCE: u32 = 10;
+const ONE_MORE_EVERY: Duration = Duration::from_secs(6);
+/// Most addresses that are remembered for wrong tokens; while all are taken, those not among them are refused.
+const MOST_ADDRESSES: usize = 4096;
+/// Name of the cookie.
+const COOKIE_NAME: &str = "spandrel-session";
+
+/// Somebody who was let in.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Visitor {
+    pub(crate) name: Name,
+    pub(crate) role: PageRole,
+}
+
+/// Why somebody is not let in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Refusal {
+    /// No token, or a wrong one.
+    Unknown,
+    /// Too many wrong tokens: after so long one more is looked at.
+    Later(Duration),
+}
+
+/// Lets in, or not. Times count from the start of the page.
+#[derive(Debug, Default)]
+pub(crate) struct Gate {
+    tokens: Tokens,
+    /// Browsers are to send the cookie over TLS only.
+    is_secure: bool,
+    inner: Mutex<Inner>,
+}
+
+#[derive(Debug, Default)]
+struct Inner {
+    /// By the hash of what the cookie says.
+    sessions: BTreeMap<String, Session>,
+    wrong: BTreeMap<IpAddr, Wrong>,
+}
+
+#[derive(Debug)]
+struct Session {
+    visitor: Visitor,
+    until: Duration,
+}
+
+/// Wrong tokens of one address: how many more it may show, as of when.
+#[derive(Clone, Copy, Debug)]
+struct Wrong {
+    left: u32,
+    as_of: Duration,
+}
+
+impl Wrong {
+    fn now(self, now: Duration) -> Self {
+        let gained = now.saturating_sub(self.as_of).as_secs() / ONE_MORE_EVERY.as_secs();
+        let left = u64::from(self.left).saturating_add(gained).min(u64::from(WRONG_AT_ONCE));
+        let as_of = self.as_of + ONE_MORE_EVERY.saturating_mul(u32::try_from(gained).unwrap_or(u32::MAX));
+        // at most WRONG_AT_ONCE, which is a u32
+        Self { left: u32::try_from(left).unwrap_or(WRONG_AT_ONCE), as_of: as_of.min(now) }
+    }
+}
+
+impl Gate {
+    pub(crate) fn new(tokens: Tokens, is_secure: bool) -> Self {
+        Self { tokens, is_secure, inner: Mutex::default() }
+    }
+
+    /// Whether everybody may do everything.
+    pub(crate) fn is_open(&self) -> bool {
+        self.tokens.is_empty()
+    }
+
+    /// Whether browsers come over TLS.
+    pub(crate) fn is_secure(&self) -> bool {
+        self.is_secure
+    }
+
+    /// Who asks, by the token or cookie of a request.
+    pub(crate) fn admit(&self, headers: &HeaderMap, address: IpAddr, now: Duration) -> Result<Visitor, Refusal> {
+        if let Some(secret) = bearer(headers) {
+            return self.check(secret, address, now);
+        }
+        let inner = self.lock();
+        let session = cookie(headers).and_then(|cookie| inner.sessions.get(&hash(cookie)));
+        let valid = session.filter(|session| session.until > now);
+        valid.map(|session| session.visitor.clone()).ok_or(Refusal::Unknown)
+    }
+
+    /// Whose token this is; wrong ones are counted against the address.
+    pub(crate) fn check(&self, secret: &str, address: IpAddr, now: Duration) -> Result<Visitor, Refusal> {
+        let address = network_of(address);
+        let mut inner = self.lock();
+        let fresh = Wrong { left: WRONG_AT_ONCE, as_of: now };
+        let wrong = inner.wrong.get(&address).copied().unwrap_or(fresh).now(now);
+        if wrong.left == 0 {
+            return Err(Refusal::Later((wrong.as_of + ONE_MORE_EVERY).saturating_sub(now)));
+        }
+        if let Some(token) = self.tokens.find(secret) {
+            return Ok(Visitor { name: token.name.clone(), role: token.role });
+        }
+        inner.wrong.retain(|_, wrong| wrong.now(now).left < WRONG_AT_ONCE);
+        if inner.wrong.len() >= MOST_ADDRESSES && !inner.wrong.contains_key(&address) {
+            return Err(Refusal::Later(ONE_MORE_EVERY));
+        }
+        inner.wrong.insert(address, Wrong { left: wrong.left - 1, ..wrong });
+        Err(Refusal::Unknown)
+    }
+
+    /// Begins the session of a browser; returns the header that tells it.
+    pub(crate) fn begin(&self, visitor: Visitor, now: Duration) -> Result<HeaderValue, DashboardError> {
+        let secret = hexadecimal(&random()?);
+        let mut inner = self.lock();
+        inner.sessions.retain(|_, session| session.until > now);
+        if inner.sessions.len() >= MOST_SESSIONS {
+            let oldest = inner.sessions.iter().min_by_key(|(_, session)| session.until).map(|(hash, _)| hash.clone());
+            oldest.and_then(|oldest| inner.sessions.remove(&oldest));
+        }
+        inner.sessions.insert(hash(&secret), Session { visitor, until: now + SESSION_LASTS });
+        drop(inner);
+        self.cookie(&secret, SESSION_LASTS)
+    }
+
+    /// Ends the session of a browser; returns the header that makes it forget.
+    pub(crate) fn end(&self, headers: &HeaderMap) -> Result<HeaderValue, DashboardError> {
+        if let Some(cookie) = cookie(headers) {
+            self.lock().sessions.remove(&hash(cookie));
+        }
+        self.cookie("", Duration::ZERO)
+    }
+
+    fn cookie(&self, value: &str, lasts: Duration) -> Result<HeaderValue, DashboardError> {
+        let secure = if self.is_secure { "; Secure" } else { "" };
+        let lasts = lasts.as_secs();
+        let text = format!("{COOKIE_NAME}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={lasts}{secure}");
+        // digits and letters
+        HeaderValue::try_from(text).map_err(|_| DashboardError::NoRandom)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        // what a panic leaves is whole: each change is one call
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Who has one address of IPv6 has the 2⁶⁴ around it.
+fn network_of(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V6(address) => IpAddr::V6((address.to_bits() & !u128::from(u64::MAX)).into()),
+        address @ IpAddr::V4(_) => address,
+    }
+}
+
+fn bearer(headers: &HeaderMap) -> Option<&str> {
+    let (scheme, secret) = headers.get(AUTHORIZATION)?.to_str().ok()?.split_once(' ')?;
+    scheme.eq_ignore_ascii_case("bearer").then(|| secret.trim())
+}
+
+fn cookie(headers: &HeaderMap) -> Option<&str> {
+    let all = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
+    let mut pairs = all.flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().split_once('='));
+    pairs.find(|(name, _)| *name == COOKIE_NAME).map(|(_, value)| value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HERE: IpAddr = IpAddr::V4(std::net::Ipv4Addr::new(10, 0, 0, 7));
+
+    fn at(seconds: u64) -> Duration {
+        Duration::from_secs(seconds)
+    }
+
+    /// A gate with a token of a viewer.
+    fn gate() -> (Gate, String) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("tokens.json");
+        let secret = Tokens::issue(&path, Name::new("ada").unwrap(), PageRole::Viewer, false).unwrap();
+        (Gate::new(Tokens::read(&path).unwrap(), true), secret)
+    }
+
+    fn header(name: axum::http::HeaderName, text: &str) -> HeaderMap {
+        HeaderMap::from_iter([(name, HeaderValue::from_str(text).unwrap())])
+    }
+
+    #[test]
+    fn a_token_lets_in_and_nothing_else_does() {
+        let (gate, secret) = gate();
+        let bearer = |secret: &str| header(AUTHORIZATION, &format!("Bearer {secret}"));
+        assert_eq!(gate.admit(&bearer(&secret), HERE, at(0)).unwrap().name.as_str(), "ada");
+        assert_eq!(gate.admit(&HeaderMap::new(), HERE, at(0)), Err(Refusal::Unknown));
+        for wrong in ["", "spandrel-", "x"] {
+            assert_eq!(gate.admit(&bearer(wrong), HERE, at(0)), Err(Refusal::Unknown), "{wrong}");
+        }
+        assert_eq!(gate.admit(&header(AUTHORIZATION, &secret), HERE, at(0)), Err(Refusal::Unknown));
+    }
+
+    #[test]
+    fn a_session_lasts_until_its_end() {
+        let (gate, secret) = gate();
+        let visitor = gate.check(&secret, HERE, at(0)).unwrap();
+        let told = gate.begin(visitor, at(0)).unwrap().to_str().unwrap().to_owned();
+        for part in ["HttpOnly", "SameSite=Strict", "Secure", "Path=/"] {
+            assert!(told.contains(part), "{told}");
+        }
+        let cookie = header(COOKIE, &format!("theme=dark; {}", told.split(';').next().unwrap()));
+        assert!(gate.admit(&cookie, HERE, at(12 * 3600 - 1)).is_ok());
+        assert_eq!(gate.admit(&cookie, HERE, at(12 * 3600)), Err(Refusal::Unknown));
+        gate.end(&cookie).unwrap();
+        assert_eq!(gate.admit(&cookie, HERE, at(1)), Err(Refusal::Unknown));
+    }
+
+    #[test]
+    fn sessions_are_bounded() {
+        let (gate, secret) = gate();
+        let visitor = gate.check(&secret, HERE, at(0)).unwrap();
+        for second in 0..2000 {
+            gate.begin(visitor.clone(), at(second)).unwrap();
+        }
+        assert_eq!(gate.lock().sessions.len(), MOST_SESSIONS);
+    }
+
+    #[test]
+    fn wrong_tokens_are_limited_by_address() {
+        let (gate, secret) = gate();
+        for _ in 0..WRONG_AT_ONCE {
+            assert_eq!(gate.check("wrong", HERE, at(0)), Err(Refusal::Unknown));
+        }
+        assert_eq!(gate.check("wrong", HERE, at(0)), Err(Refusal::Later(at(6))));
+        assert_eq!(gate.check(&secret, HERE, at(5)), Err(Refusal::Later(at(1))));
+        let elsewhere = "10.0.0.8".parse().unwrap();
+        assert!(gate.check(&secret, elsewhere, at(0)).is_ok());
+        assert!(gate.check(&secret, HERE, at(6)).is_ok());
+        assert_eq!(gate.check("wrong", HERE, at(6)), Err(Refusal::Unknown));
+        assert!(matches!(gate.check("wrong", HERE, at(6)), Err(Refusal::Later(_))));
+    }
+
+    #[test]
+    fn addresses_of_one_ipv6_network_count_together() {
+        let (gate, _) = gate();
+        for host in 0..WRONG_AT_ONCE {
+            let address = format!("2001:db8::{host:x}").parse().unwrap();
+            assert_eq!(gate.check("wrong", address, at(0)), Err(Refusal::Unknown));
+        }
+        let another = "2001:db8::ffff".parse().unwrap();
+        assert!(matches!(gate.check("wrong", another, at(0)), Err(Refusal::Later(_))));
+    }
+
+    #[test]
+    fn addresses_are_bounded_and_forgotten() {
+        let (gate, secret) = gate();
+        let address = |number: u32| IpAddr::V4(std::net::Ipv4Addr::from_bits(number));
+        for number in 0..=MOST_ADDRESSES as u32 {
+            let _ = gate.check("wrong", address(number), at(0));
+        }
+        assert_eq!(gate.lock().wrong.len(), MOST_ADDRESSES);
+        assert!(matches!(gate.check("wrong", address(1 << 20), at(0)), Err(Refusal::Later(_))));
+        assert!(gate.check(&secret, address(1 << 20), at(0)).is_ok());
+        assert_eq!(gate.check("wrong", address(1 << 20), at(3600)), Err(Refusal::Unknown));
+        assert_eq!(gate.lock().wrong.len(), 1);
+    }
+}

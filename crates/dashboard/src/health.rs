@@ -1,0 +1,62 @@
+//! Whether all is there: for whoever starts, watches and replaces processes.
+
+use crate::server::Server;
+use crate::store::Store;
+use axum::Json;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use serde_json::json;
+use spandrel_bus::Service;
+use std::sync::Arc;
+
+/// Paths that need no token: they name no structure.
+pub(crate) const LIVE_PATH: &str = "/health/live";
+pub(crate) const READY_PATH: &str = "/health/ready";
+
+/// Answers as long as the process does.
+pub(crate) async fn live() -> Response {
+    Json(json!({"live": true})).into_response()
+}
+
+/// Answers whether each structure has the services that turn samples into alerts.
+pub(crate) async fn ready(State(server): State<Arc<Server>>) -> Response {
+    let (mut structures, mut missing) = (0_u64, 0_u64);
+    for store in server.stores() {
+        structures += 1;
+        missing += u64::from(!has_all(&store));
+    }
+    let code = if missing == 0 { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+    let answer = json!({"ready": missing == 0, "structures": structures, "without-a-service": missing});
+    (code, Json(answer)).into_response()
+}
+
+/// Estimates come of ingest and identify, or of the station where nodes identify for themselves.
+fn has_all(store: &Store) -> bool {
+    let has = |wanted: Service| store.present.iter().any(|(service, _)| *service == wanted);
+    let estimates = has(Service::Fuse) || (has(Service::Ingest) && has(Service::Identify));
+    estimates && has(Service::Alert)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::demo;
+    use spandrel_bus::Name;
+
+    #[test]
+    fn a_structure_is_ready_with_all_services_of_either_kind() {
+        let ready = |services: &[Service]| {
+            let mut store = demo();
+            store.present = services.iter().map(|service| (*service, Name::new("one").unwrap())).collect();
+            has_all(&store)
+        };
+        assert!(ready(&[Service::Ingest, Service::Identify, Service::Alert]));
+        assert!(ready(&[Service::Fuse, Service::Alert]));
+        for lacking in
+            [&[Service::Ingest, Service::Identify][..], &[Service::Identify, Service::Alert], &[Service::Fuse], &[]]
+        {
+            assert!(!ready(lacking), "{lacking:?}");
+        }
+    }
+}

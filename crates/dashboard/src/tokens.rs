@@ -1,0 +1,179 @@
+//! Tokens of people and programs: kept as hashes, so that who reads the file cannot use them.
+
+use crate::error::DashboardError;
+use rustls::crypto::ring::default_provider;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use spandrel_bus::Name;
+use std::fmt::Write as _;
+use std::io::{ErrorKind, Write as _};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::Path;
+
+/// Random bytes of a token: too many to be guessed, so that one fast hash is enough to keep it.
+const TOKEN_BYTES: usize = 32;
+/// Beginning of a token, by which people and scanners know one.
+const PREFIX: &str = "spandrel-";
+/// What the file of tokens allows: its owner, and nobody else.
+const FILE_MODE: u32 = 0o600;
+
+/// What somebody may do on the page.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PageRole {
+    /// Reads.
+    Viewer,
+    /// Reads and acknowledges.
+    Operator,
+}
+
+/// A token as it is kept.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Token {
+    /// Whose it is.
+    pub name: Name,
+    /// What it allows.
+    pub role: PageRole,
+    /// SHA-256 of the token, hexadecimal.
+    sha256: String,
+}
+
+/// All tokens of a page.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Tokens(Vec<Token>);
+
+impl Tokens {
+    /// Reads the file that [`Tokens::issue`] writes.
+    ///
+    /// # Errors
+    /// A file that cannot be read or is none.
+    pub fn read(path: &Path) -> Result<Self, DashboardError> {
+        let text = std::fs::read_to_string(path);
+        let text = text.map_err(|source| DashboardError::TokenFile { path: path.to_owned(), source })?;
+        match serde_json::from_str(&text) {
+            Ok(tokens) => Ok(Self(tokens)),
+            // the text of the error could quote the file
+            Err(error) => Err(DashboardError::NotTokens { path: path.to_owned(), line: error.line() }),
+        }
+    }
+
+    /// Makes a token and adds its hash to a file, which is made if it is not there. Returns the token, which is kept nowhere.
+    ///
+    /// # Errors
+    /// A name that has a token, unless that is to be replaced; a file that cannot be read or written.
+    pub fn issue(path: &Path, name: Name, role: PageRole, replace: bool) -> Result<String, DashboardError> {
+        let mut all = match Self::read(path) {
+            Ok(all) => all,
+            Err(DashboardError::TokenFile { source, .. }) if source.kind() == ErrorKind::NotFound => Self::default(),
+            Err(error) => return Err(error),
+        };
+        if all.0.iter().any(|token| token.name == name) {
+            if !replace {
+                return Err(DashboardError::TokenExists { name, path: path.to_owned() });
+            }
+            all.0.retain(|token| token.name != name);
+        }
+        let secret = format!("{PREFIX}{}", hexadecimal(&random()?));
+        all.0.push(Token { name, role, sha256: hash(&secret) });
+        all.write(path)?;
+        Ok(secret)
+    }
+
+    /// Writes the file anew and puts it in the place of the old one, so that nobody reads half of it.
+    fn write(&self, path: &Path) -> Result<(), DashboardError> {
+        let failed = |source| DashboardError::TokenFile { path: path.to_owned(), source };
+        let text = serde_json::to_string_pretty(&self.0).map_err(|error| failed(error.into()))?;
+        let beside = path.with_extension("new");
+        let mut options = std::fs::OpenOptions::new();
+        options.write(true).create(true).truncate(true).mode(FILE_MODE);
+        let mut file = options.open(&beside).map_err(failed)?;
+        file.write_all(text.as_bytes()).and_then(|()| file.sync_all()).map_err(failed)?;
+        std::fs::rename(&beside, path).map_err(failed)
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Whose token this is. Only hashes are compared: how long that takes says nothing about a token.
+    pub(crate) fn find(&self, secret: &str) -> Option<&Token> {
+        let hash = hash(secret);
+        self.0.iter().find(|token| token.sha256 == hash)
+    }
+}
+
+/// Random bytes for a token or session.
+pub(crate) fn random() -> Result<[u8; TOKEN_BYTES], DashboardError> {
+    let mut bytes = [0; TOKEN_BYTES];
+    default_provider().secure_random.fill(&mut bytes).map_err(|_| DashboardError::NoRandom)?;
+    Ok(bytes)
+}
+
+/// SHA-256 of a text, hexadecimal.
+pub(crate) fn hash(text: &str) -> String {
+    hexadecimal(&Sha256::digest(text.as_bytes()))
+}
+
+pub(crate) fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
+        // writing to a String does not fail
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::PermissionsExt;
+
+    fn name(text: &str) -> Name {
+        Name::new(text).unwrap()
+    }
+
+    #[test]
+    fn a_token_is_found_and_not_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("tokens.json");
+        let ada = Tokens::issue(&path, name("ada"), PageRole::Viewer, false).unwrap();
+        let grace = Tokens::issue(&path, name("grace"), PageRole::Operator, false).unwrap();
+        assert_ne!(ada, grace);
+        let text = std::fs::read_to_string(&path).unwrap();
+        for secret in [&ada, &grace] {
+            assert!(!text.contains(&secret[PREFIX.len()..]), "{text}");
+        }
+        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+        let tokens = Tokens::read(&path).unwrap();
+        assert_eq!(tokens.find(&ada).map(|token| token.role), Some(PageRole::Viewer));
+        assert_eq!(tokens.find(&grace).map(|token| token.name.as_str()), Some("grace"));
+        for wrong in ["", "spandrel-", &ada[..ada.len() - 1], &text] {
+            assert_eq!(tokens.find(wrong), None);
+        }
+    }
+
+    #[test]
+    fn a_token_is_replaced_only_when_asked() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("tokens.json");
+        let first = Tokens::issue(&path, name("ada"), PageRole::Viewer, false).unwrap();
+        let again = Tokens::issue(&path, name("ada"), PageRole::Operator, false);
+        assert!(matches!(again, Err(DashboardError::TokenExists { .. })), "{again:?}");
+        let second = Tokens::issue(&path, name("ada"), PageRole::Operator, true).unwrap();
+        let tokens = Tokens::read(&path).unwrap();
+        assert_eq!(tokens.find(&first), None);
+        assert_eq!(tokens.find(&second).map(|token| token.role), Some(PageRole::Operator));
+    }
+
+    #[test]
+    fn a_file_that_is_none_is_named_and_not_quoted() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("tokens.json");
+        std::fs::write(&path, "[{\"name\": \"ada\", \"secret\": \"quoted-secret\"}]").unwrap();
+        let error = Tokens::read(&path).unwrap_err();
+        let told = format!("{error} {error:?}");
+        assert!(told.contains("tokens.json") && !told.contains("quoted-secret"), "{told}");
+    }
+}

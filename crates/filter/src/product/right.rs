@@ -1,0 +1,140 @@
+//! Right factors of products, packed.
+
+use nalgebra::DMatrix;
+use std::ops::Range;
+
+/// Columns of the right factor that are multiplied together.
+pub(crate) const COLUMNS: usize = 4;
+
+/// The right factor of a product (k × c), packed in the order in which it is read, without the rows that are zero.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Right {
+    pub(super) columns: usize,
+    /// Runs of rows of all groups of [`COLUMNS`] columns.
+    pub(super) runs: Vec<Range<usize>>,
+    /// Where the runs of a group end.
+    pub(super) ends: Vec<usize>,
+    /// A row of a group, run after run.
+    pub(super) values: Vec<[f64; COLUMNS]>,
+}
+
+impl Right {
+    /// Makes room for factors of at most `rows` × `columns`, with up to `runs` runs of rows in each group of columns.
+    pub(crate) fn new(rows: usize, columns: usize, runs: usize) -> Self {
+        let groups = columns.div_ceil(COLUMNS);
+        Self {
+            columns: 0,
+            runs: Vec::with_capacity(groups * runs),
+            ends: Vec::with_capacity(groups),
+            values: Vec::with_capacity(groups * rows),
+        }
+    }
+
+    /// Packs a full matrix (k × c).
+    pub(crate) fn pack(&mut self, matrix: &DMatrix<f64>) {
+        let rows = matrix.nrows();
+        self.pack_runs(matrix, |_, runs| runs.push(0..rows));
+    }
+
+    /// Packs a square matrix whose entries farther than `half_bandwidth` from the diagonal are zero, whatever they hold.
+    pub(crate) fn pack_band(&mut self, matrix: &DMatrix<f64>, half_bandwidth: usize) {
+        let n = matrix.nrows();
+        let of_group = |columns: Range<usize>, runs: &mut Vec<Range<usize>>| {
+            runs.push(columns.start.saturating_sub(half_bandwidth)..(columns.end + half_bandwidth).min(n));
+        };
+        self.pack_with(n, of_group, |columns, run, values| {
+            for (lane, column) in columns.clone().enumerate() {
+                let start = column.saturating_sub(half_bandwidth);
+                let entries = &matrix.as_slice()[column * n + start..column * n + (column + half_bandwidth + 1).min(n)];
+                for (values, entry) in values[start - run.start..].iter_mut().zip(entries) {
+                    values[lane] = *entry;
+                }
+            }
+        });
+    }
+
+    /// Packs a matrix (k × c) without the rows that are zero throughout a group of columns.
+    pub(crate) fn pack_sparse(&mut self, matrix: &DMatrix<f64>) {
+        self.pack_runs(matrix, |columns, runs| {
+            let first_run = runs.len();
+            let entries = &matrix.as_slice()[columns.start * matrix.nrows()..columns.end * matrix.nrows()];
+            for row in 0..matrix.nrows() {
+                if entries[row..].iter().step_by(matrix.nrows()).any(|entry| *entry != 0.0) {
+                    match runs[first_run..].last_mut() {
+                        Some(run) if run.end == row => run.end += 1,
+                        _ => runs.push(row..row + 1),
+                    }
+                }
+            }
+        });
+    }
+
+    /// Packs a matrix (k × c) whose entries are zero outside the runs of rows, increasing, that `of_group` adds for some columns.
+    pub(crate) fn pack_runs(
+        &mut self,
+        matrix: &DMatrix<f64>,
+        of_group: impl FnMut(Range<usize>, &mut Vec<Range<usize>>),
+    ) {
+        let rows = matrix.nrows();
+        self.pack_with(matrix.ncols(), of_group, |columns, run, values| {
+            for (lane, column) in columns.clone().enumerate() {
+                let entries = &matrix.as_slice()[column * rows + run.start..column * rows + run.end];
+                for (values, entry) in values.iter_mut().zip(entries) {
+                    values[lane] = *entry;
+                }
+            }
+        });
+    }
+
+    /// Packs what `write` puts in the place of zeros for the columns of a group and one of the runs of rows that `of_group` adds.
+    pub(crate) fn pack_with(
+        &mut self,
+        columns: usize,
+        mut of_group: impl FnMut(Range<usize>, &mut Vec<Range<usize>>),
+        write: impl FnMut(&Range<usize>, &Range<usize>, &mut [[f64; COLUMNS]]),
+    ) {
+        self.clear(columns);
+        for columns in groups(columns) {
+            of_group(columns, &mut self.runs);
+            self.ends.push(self.runs.len());
+        }
+        self.repack_with(write);
+    }
+
+    /// Does so with the runs of rows of the last time.
+    pub(crate) fn repack_with(&mut self, mut write: impl FnMut(&Range<usize>, &Range<usize>, &mut [[f64; COLUMNS]])) {
+        self.values.clear();
+        self.values.resize(self.runs.iter().map(Range::len).sum(), [0.0; COLUMNS]);
+        let (mut start, mut values) = (0, self.values.as_mut_slice());
+        for (columns, end) in groups(self.columns).zip(&self.ends) {
+            for run in &self.runs[start..*end] {
+                let (of_run, rest) = values.split_at_mut(run.len());
+                write(&columns, run, of_run);
+                values = rest;
+            }
+            start = *end;
+        }
+    }
+
+    /// Returns the number of terms of a row of the product.
+    pub(crate) fn term_count(&self) -> usize {
+        COLUMNS * self.values.len()
+    }
+
+    /// Tells whether a factor has been packed.
+    pub(crate) fn is_packed(&self) -> bool {
+        !self.ends.is_empty()
+    }
+
+    fn clear(&mut self, columns: usize) {
+        self.columns = columns;
+        self.runs.clear();
+        self.ends.clear();
+        self.values.clear();
+    }
+}
+
+/// Returns the columns of each group.
+pub(super) fn groups(columns: usize) -> impl Iterator<Item = Range<usize>> {
+    (0..columns).step_by(COLUMNS).map(move |first| first..(first + COLUMNS).min(columns))
+}

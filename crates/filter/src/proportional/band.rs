@@ -1,0 +1,248 @@
+//! Square matrices with entries near the diagonal alone, by their diagonals: what they do runs along whole columns of numbers.
+
+use super::polynomials::Polynomial;
+use crate::product::{COLUMNS, MOST_LANES};
+use nalgebra::DMatrix;
+use pulp::{Arch, Simd, WithSimd};
+use std::ops::Range;
+
+/// A band (N × N): entry `(i, i + d)` is entry `i` of diagonal `d`.
+#[derive(Debug, Clone)]
+pub(super) struct Band {
+    n: usize,
+    /// N, filled up with zeros to whole registers.
+    padded: usize,
+    /// Entries farther from the diagonal than this are zero, or left from before.
+    half_bandwidth: usize,
+    /// The diagonals from the lowest that there may be, each with zeros before and after it, and diagonals of zeros around them.
+    entries: Vec<f64>,
+    /// The largest distance of a diagonal that may have entries.
+    most: usize,
+    /// Zeros before and after each diagonal, and half of the diagonals of zeros on either side.
+    margin: usize,
+}
+
+impl Band {
+    /// Makes room for a band (N × N) up to `most` beside the diagonal, to be multiplied by one up to `margin` beside it.
+    pub(super) fn new(n: usize, most: usize, margin: usize) -> Self {
+        let (most, padded) = (most.min(n.saturating_sub(1)), n.next_multiple_of(MOST_LANES));
+        let entries = vec![0.0; (2 * most + 4 * margin + 1) * (padded + 2 * margin)];
+        Self { n, padded, half_bandwidth: 0, entries, most, margin }
+    }
+
+    /// Returns N.
+    pub(super) fn len(&self) -> usize {
+        self.n
+    }
+
+    /// Returns how far from the diagonal it has entries.
+    pub(super) fn half_bandwidth(&self) -> usize {
+        self.half_bandwidth
+    }
+
+    /// Returns the number of its entries.
+    pub(super) fn entry_count(&self) -> usize {
+        (2 * self.half_bandwidth + 1) * self.n - self.half_bandwidth * (self.half_bandwidth + 1)
+    }
+
+    /// Sets it to `factor` times a full matrix, of which it takes what is not farther than `half_bandwidth` from the diagonal.
+    pub(super) fn set(&mut self, matrix: &DMatrix<f64>, half_bandwidth: usize, factor: f64) {
+        self.half_bandwidth = half_bandwidth.min(self.most);
+        for (column, entries) in matrix.as_slice().chunks_exact(self.n).enumerate() {
+            for row in around(column, self.half_bandwidth, self.n) {
+                let place = self.place(column as isize - row as isize, row);
+                self.entries[place] = factor * entries[row];
+            }
+        }
+    }
+
+    /// Returns where entry `(row, row + diagonal)` is.
+    #[inline(always)]
+    fn place(&self, diagonal: isize, row: usize) -> usize {
+        ((self.most + 2 * self.margin) as isize + diagonal) as usize * (self.padded + 2 * self.margin)
+            + self.margin
+            + row
+    }
+
+    /// Returns the entries of a diagonal, from `shift` rows below its first one on.
+    #[inline(always)]
+    fn diagonal(&self, diagonal: isize, shift: isize) -> &[f64] {
+        let start = (self.place(diagonal, 0) as isize + shift) as usize;
+        &self.entries[start..start + self.padded]
+    }
+
+    #[inline(always)]
+    fn diagonal_mut(&mut self, diagonal: isize) -> &mut [f64] {
+        let start = self.place(diagonal, 0);
+        &mut self.entries[start..start + self.padded]
+    }
+
+    /// Returns where the diagonals up to `half_bandwidth` from that in the middle are, with the zeros before and after each.
+    #[inline(always)]
+    fn all(&self, half_bandwidth: usize) -> Range<usize> {
+        let (first, length) = (self.most + 2 * self.margin - half_bandwidth, self.padded + 2 * self.margin);
+        first * length..(first + 2 * half_bandwidth + 1) * length
+    }
+
+    /// Sets the diagonals beyond `half_bandwidth` to zero, twice `width` of them: a wider band may have been here before.
+    #[inline(always)]
+    fn clear_around(&mut self, half_bandwidth: usize, width: usize) {
+        let (inner, outer) = (self.all(half_bandwidth), self.all(half_bandwidth + 2 * width));
+        self.entries[outer.start..inner.start].fill(0.0);
+        self.entries[inner.end..outer.end].fill(0.0);
+    }
+
+    /// Returns the distances of its diagonals from that in the middle.
+    fn diagonals(&self) -> std::ops::RangeInclusive<isize> {
+        -(self.half_bandwidth as isize)..=self.half_bandwidth as isize
+    }
+
+    /// Writes `factor` times the columns `columns` and rows `rows` of its transpose.
+    pub(super) fn transpose_to(
+        &self,
+        factor: f64,
+        columns: &Range<usize>,
+        rows: &Range<usize>,
+        values: &mut [[f64; COLUMNS]],
+    ) {
+        let half = self.half_bandwidth;
+        if columns.len() == COLUMNS && rows.len() == COLUMNS + 2 * half {
+            // nothing is cut off at an end: along each diagonal
+            for (first, d) in self.diagonals().enumerate() {
+                let entries = &self.diagonal(d, 0)[columns.clone()];
+                for (lane, (values, entry)) in values[first..first + COLUMNS].iter_mut().zip(entries).enumerate() {
+                    values[lane] = factor * entry;
+                }
+            }
+            return;
+        }
+        let length = self.padded + 2 * self.margin;
+        for (lane, row) in columns.clone().enumerate() {
+            let reached = around(row, self.half_bandwidth, self.n);
+            let reached = reached.start.max(rows.start)..reached.end.min(rows.end);
+            let mut place = self.place(reached.start as isize - row as isize, row);
+            for values in &mut values[reached.start - rows.start..reached.end - rows.start] {
+                values[lane] = factor * self.entries[place];
+                place += length;
+            }
+        }
+    }
+
+    /// Writes the product with a vector (N).
+    pub(super) fn mul_to(&self, arch: Arch, x: &[f64], out: &mut [f64]) {
+        arch.dispatch(MulTo { band: self, x, out });
+    }
+}
+
+struct MulTo<'m> {
+    band: &'m Band,
+    x: &'m [f64],
+    out: &'m mut [f64],
+}
+
+impl WithSimd for MulTo<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { band, x, out } = self;
+        out.fill(0.0);
+        for d in band.diagonals() {
+            let (skipped, ahead) = ((-d).max(0) as usize, d.max(0) as usize);
+            let entries = &band.diagonal(d, 0)[skipped..];
+            for ((out, entry), x) in out[skipped..].iter_mut().zip(entries).zip(&x[ahead..]) {
+                *out += entry * x;
+            }
+        }
+    }
+}
+
+/// Evaluates polynomials of one band, `Z`: `sums` become these, `powers` are scratch.
+pub(super) struct Evaluate<'b, const N: usize> {
+    pub(super) z: &'b Band,
+    pub(super) powers: &'b mut [Band; 2],
+    pub(super) polynomials: [&'b Polynomial; N],
+    pub(super) sums: [&'b mut Band; N],
+}
+
+impl<const N: usize> WithSimd for Evaluate<'_, N> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { z, powers: [power, next], polynomials, mut sums } = self;
+        for (polynomial, sum) in polynomials.iter().zip(&mut sums) {
+            sum.half_bandwidth = (polynomial.degree * z.half_bandwidth).min(sum.most);
+            let all = sum.all(sum.half_bandwidth);
+            sum.entries[all].fill(0.0);
+            sum.diagonal_mut(0)[..z.n].fill(polynomial.coefficients[0]);
+        }
+        power.half_bandwidth = 0;
+        power.clear_around(0, z.half_bandwidth);
+        power.diagonal_mut(0)[..z.n].fill(1.0);
+        let degree = polynomials.iter().map(|polynomial| polynomial.degree).max().unwrap_or(0);
+        for k in 1..=degree {
+            multiply(simd, z, power, next);
+            std::mem::swap(power, next);
+            for (polynomial, sum) in polynomials.iter().zip(&mut sums) {
+                if k <= polynomial.degree {
+                    let coefficient = polynomial.coefficients[k];
+                    // all diagonals at once, with the zeros between them
+                    let (all, of_power) = (sum.all(power.half_bandwidth), power.all(power.half_bandwidth));
+                    for (entry, power) in sum.entries[all].iter_mut().zip(&power.entries[of_power]) {
+                        *entry += coefficient * power;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Diagonals of the left factor that are multiplied together.
+const TOGETHER: usize = 3;
+
+/// Writes the product of two bands, `(Z P)_{i, i+d} = Σ_e Z_{i, i+e} P_{i+e, i+d}`; around both there are diagonals of zeros.
+#[inline(always)]
+fn multiply<S: Simd>(simd: S, z: &Band, p: &Band, out: &mut Band) {
+    out.half_bandwidth = (z.half_bandwidth + p.half_bandwidth).min(out.most);
+    let half = z.half_bandwidth as isize;
+    out.clear_around(out.half_bandwidth, z.half_bandwidth);
+    for d in out.diagonals() {
+        let (out, _) = S::as_mut_simd_f64s(out.diagonal_mut(d));
+        let mut e = -half;
+        while e + TOGETHER as isize <= half + 1 {
+            let is_first = e == -half;
+            let together = terms::<S>(z, p, d, e).zip(terms::<S>(z, p, d, e + 1)).zip(terms::<S>(z, p, d, e + 2));
+            for (out, (((z, p), (z_1, p_1)), (z_2, p_2))) in out.iter_mut().zip(together) {
+                let start = if is_first { simd.splat_f64s(0.0) } else { *out };
+                let sum = simd.mul_add_e_f64s(*z, *p, start);
+                *out = simd.mul_add_e_f64s(*z_2, *p_2, simd.mul_add_e_f64s(*z_1, *p_1, sum));
+            }
+            e += TOGETHER as isize;
+        }
+        for e in e..=half {
+            let is_first = e == -half;
+            for (out, (z, p)) in out.iter_mut().zip(terms::<S>(z, p, d, e)) {
+                let start = if is_first { simd.splat_f64s(0.0) } else { *out };
+                *out = simd.mul_add_e_f64s(*z, *p, start);
+            }
+        }
+    }
+}
+
+/// Returns the factors of one diagonal of `Z` in diagonal `d` of a product.
+#[inline(always)]
+fn terms<'b, S: Simd>(
+    z: &'b Band,
+    p: &'b Band,
+    d: isize,
+    e: isize,
+) -> impl Iterator<Item = (&'b S::f64s, &'b S::f64s)> {
+    let ((z, _), (p, _)) = (S::as_simd_f64s(z.diagonal(e, 0)), S::as_simd_f64s(p.diagonal(d - e, e)));
+    z.iter().zip(p)
+}
+
+/// Returns the rows of a square matrix (n × n) not farther from the diagonal than `half_bandwidth` in a column.
+pub(super) fn around(column: usize, half_bandwidth: usize, n: usize) -> Range<usize> {
+    column.saturating_sub(half_bandwidth)..(column + half_bandwidth + 1).min(n)
+}

@@ -1,0 +1,99 @@
+//! What an identification remembers: all of its state between two inputs.
+
+use super::hearing::Hearing;
+use super::{Identification, Stream};
+use crate::estimator::EstimatorState;
+use crate::screening::ScreeningView;
+use serde::{Deserialize, Serialize};
+use spandrel_bus::{ClassCalibration, TimeGrid};
+use spandrel_filter::{BandLimit, FilterError};
+
+/// The whole state of an identification between two inputs: what a checkpoint holds.
+///
+/// An identification of the same structure file that takes it goes on with the same bits as if it had never stopped.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct IdentificationState {
+    estimator: EstimatorState,
+    band_limit: Option<BandLimit>,
+    stream: Option<Stream>,
+    screening: Vec<ScreeningView>,
+    calibration: Option<ClassCalibration>,
+    restarts: u64,
+    unobserved: u64,
+    hearing: Vec<Hearing>,
+    last_values: Vec<f64>,
+    since_clipped: Option<u64>,
+}
+
+impl IdentificationState {
+    /// Version of the layout: raised with every change of a field here or in the states below.
+    pub const VERSION: u16 = 1;
+}
+
+impl Identification {
+    /// Returns the state for a checkpoint.
+    #[must_use]
+    pub fn state(&self) -> IdentificationState {
+        IdentificationState {
+            estimator: self.estimator.state(),
+            band_limit: self.band_limit.clone(),
+            stream: self.stream,
+            screening: self.screening.clone(),
+            calibration: self.classes.as_ref().and_then(|classes| classes.calibration().cloned()),
+            restarts: self.restarts,
+            unobserved: self.unobserved,
+            hearing: self.hearing.clone(),
+            last_values: self.last_values.clone(),
+            since_clipped: self.since_clipped,
+        }
+    }
+
+    /// Takes the state of a checkpoint.
+    ///
+    /// # Errors
+    /// The state does not fit the structure; the identification may then have taken part of it and is of no use.
+    pub fn restore(&mut self, state: IdentificationState) -> Result<(), FilterError> {
+        let sizes = [
+            (
+                "band limit of a checkpoint",
+                usize::from(state.band_limit.is_some()),
+                usize::from(self.band_limit.is_some()),
+            ),
+            ("screened channels of a checkpoint", state.screening.len(), self.screening.len()),
+            ("excitations of a checkpoint", state.hearing.len(), self.hearing.len()),
+            ("channels of a checkpoint", state.last_values.len(), self.last_values.len()),
+        ];
+        for (what, found, expected) in sizes {
+            if found != expected {
+                return Err(FilterError::Dimension { what, found, expected });
+            }
+        }
+        self.estimator.restore(state.estimator)?;
+        self.band_limit = state.band_limit;
+        self.stream = state.stream;
+        self.screening = state.screening;
+        if let Some(classes) = &mut self.classes {
+            classes.set_calibration(state.calibration);
+        }
+        self.restarts = state.restarts;
+        self.unobserved = state.unobserved;
+        self.hearing = state.hearing;
+        self.last_values = state.last_values;
+        self.since_clipped = state.since_clipped;
+        Ok(())
+    }
+
+    /// Returns the time of the last frame done, ns since the Unix epoch; `None` before the first.
+    #[must_use]
+    pub fn last_time_ns(&self) -> Option<i64> {
+        let stream = self.stream?;
+        let grid = TimeGrid::new(stream.t0_ns, stream.sampling_rate_hz)?;
+        Some(grid.time_ns(stream.next.checked_sub(1)?))
+    }
+
+    /// Returns epoch and number of the first frame not yet done; `None` before the first.
+    #[must_use]
+    pub fn position(&self) -> Option<(u64, u64)> {
+        self.stream.map(|stream| (stream.epoch, stream.next))
+    }
+}

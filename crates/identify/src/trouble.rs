@@ -1,0 +1,125 @@
+//! Frames that an identification has died of: found one by one, and set aside.
+
+use crate::identification::Input;
+use spandrel_bus::Block;
+use std::collections::BTreeSet;
+
+/// What is known of such frames.
+///
+/// A first death says in which block the frame is. On the way back there each frame of the block comes alone, so that a second
+/// death says which one it is; from then on it counts as missing.
+#[derive(Debug, Default)]
+pub(crate) struct Trouble {
+    /// epoch, first frame and the one after the last of a block that has killed
+    suspect: Option<(u64, u64, u64)>,
+    /// epoch and number
+    set_aside: BTreeSet<(u64, u64)>,
+    deaths: u64,
+}
+
+impl Trouble {
+    /// Cuts an input into parts that come one after the other: suspects alone, what is set aside as gaps.
+    pub(crate) fn cut(&self, input: Input) -> Vec<Input> {
+        let Input::Frames(mut rest) = input else {
+            return vec![input];
+        };
+        let (epoch, first, end) = (rest.header.epoch, rest.header.sequence, rest.end());
+        let mut alone: BTreeSet<u64> =
+            self.set_aside.range((epoch, first)..(epoch, end)).map(|(_, frame)| *frame).collect();
+        if let Some((_, from, to)) = self.suspect.filter(|(suspect, ..)| *suspect == epoch) {
+            alone.extend(from.max(first)..to.min(end));
+        }
+        let mut parts = Vec::with_capacity(2 * alone.len() + 1);
+        for frame in alone {
+            let before = frame - rest.header.sequence;
+            let mut part = rest.clone();
+            part.truncate(before);
+            if before > 0 {
+                parts.push(Input::Frames(part));
+            }
+            rest.skip(before);
+            let mut single = rest.clone();
+            single.truncate(1);
+            rest.skip(1);
+            parts.push(match self.set_aside.contains(&(epoch, frame)) {
+                true => Input::Gap { from: frame, to: frame + 1 },
+                false => Input::Frames(single),
+            });
+        }
+        // an end travels with the last part, even where no frame is left for it
+        if rest.count() > 0 || parts.is_empty() || rest.state == spandrel_bus::StreamState::Ended {
+            parts.push(Input::Frames(rest));
+        }
+        parts
+    }
+
+    /// Notes that the identification has died of frames `from` to before `to` of an epoch; returns the frame that is set aside
+    /// from now on, if it is known.
+    pub(crate) fn died(&mut self, epoch: u64, from: u64, to: u64) -> Option<u64> {
+        self.deaths += 1;
+        if to.saturating_sub(from) > 1 {
+            self.suspect = Some((epoch, from, to));
+            return None;
+        }
+        self.set_aside.insert((epoch, from));
+        Some(from)
+    }
+
+    /// Returns how often it has died.
+    pub(crate) fn deaths(&self) -> u64 {
+        self.deaths
+    }
+
+    /// Returns how many frames are set aside.
+    pub(crate) fn set_aside(&self) -> u64 {
+        self.set_aside.len() as u64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use spandrel_bus::{FrameBlock, Header, StreamState};
+
+    fn block(first: u64, count: u64) -> FrameBlock {
+        FrameBlock {
+            header: Header { source: "ingest".into(), epoch: 7, sequence: first, time_ns: 10_000_000 * first as i64 },
+            t0_ns: 0,
+            sampling_rate_hz: 100.0,
+            channels: 1,
+            values: (first..first + count).map(|frame| frame as f64).collect(),
+            state: StreamState::Running,
+        }
+    }
+
+    /// First and end of each part; gaps are negative.
+    fn parts(trouble: &Trouble, input: FrameBlock) -> Vec<(i64, i64)> {
+        let span = |part: Input| match part {
+            Input::Frames(block) => (block.header.sequence as i64, block.end() as i64),
+            Input::Gap { from, to } => (-(from as i64), -(to as i64)),
+        };
+        trouble.cut(Input::Frames(input)).into_iter().map(span).collect()
+    }
+
+    #[test]
+    fn a_frame_that_kills_twice_is_found_and_set_aside() {
+        let mut trouble = Trouble::default();
+        assert_eq!(parts(&trouble, block(0, 9)), [(0, 9)]);
+        assert_eq!(trouble.died(7, 3, 6), None);
+        assert_eq!(parts(&trouble, block(0, 9)), [(0, 3), (3, 4), (4, 5), (5, 6), (6, 9)]);
+        assert_eq!(trouble.died(7, 4, 5), Some(4));
+        assert_eq!(parts(&trouble, block(0, 9)), [(0, 3), (3, 4), (-4, -5), (5, 6), (6, 9)]);
+        assert_eq!((trouble.deaths(), trouble.set_aside()), (2, 1));
+        assert_eq!(parts(&trouble, block(9, 3)), [(9, 12)]);
+        let other_epoch = FrameBlock { header: Header { epoch: 8, ..block(0, 9).header }, ..block(0, 9) };
+        assert_eq!(parts(&trouble, other_epoch), [(0, 9)]);
+    }
+
+    #[test]
+    fn a_block_of_one_frame_is_known_at_once_and_the_end_is_not_lost() {
+        let mut trouble = Trouble::default();
+        assert_eq!(trouble.died(7, 8, 9), Some(8));
+        let last = FrameBlock { state: StreamState::Ended, ..block(8, 1) };
+        assert_eq!(parts(&trouble, last), [(-8, -9), (9, 9)]);
+    }
+}

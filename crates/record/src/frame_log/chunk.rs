@@ -1,0 +1,111 @@
+//! A chunk of a segment: its frames, checked, and where they stand.
+
+use std::borrow::Borrow;
+
+use mcap::records::{Record, op};
+
+use super::layout::{StatedLayout, TOPIC};
+use super::{LoggedFrames, payload};
+
+/// Opcode and length before the body of a record.
+pub(super) const RECORD_HEAD_BYTES: u64 = 9;
+/// Bytes of the body of a chunk that is not compressed, before its records.
+const CHUNK_HEAD_BYTES: usize = 40;
+
+/// What a chunk holds.
+#[derive(Debug, Default)]
+pub(super) struct ChunkContent {
+    pub(super) stated: Option<StatedLayout>,
+    /// Encoding of messages that is not ours: of another version.
+    pub(super) foreign_encoding: Option<String>,
+    pub(super) blocks: Vec<LoggedFrames>,
+}
+
+/// Frames of one epoch in one chunk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Entry {
+    pub(super) epoch: u64,
+    /// Number of the first frame.
+    pub(super) first: u64,
+    /// One past the number of the last frame.
+    pub(super) end: u64,
+    /// How many frames there are: fewer than `end - first` after a gap.
+    pub(super) frames: u64,
+    /// Whether the epoch ends here.
+    pub(super) ended: bool,
+    /// Byte at which the record of the chunk begins.
+    pub(super) offset: u64,
+    /// Bytes of this record.
+    pub(super) length: u64,
+}
+
+/// Opcode and length of the record that begins here.
+pub(super) fn record_head(bytes: &[u8]) -> Option<(u8, u64)> {
+    let (opcode, rest) = bytes.split_first()?;
+    let length = rest.first_chunk::<8>()?;
+    Some((*opcode, u64::from_le_bytes(*length)))
+}
+
+/// The content of a chunk from the body of its record; `None` if any bit that matters is not as it was written.
+pub(super) fn chunk_content(body: &[u8]) -> Option<ChunkContent> {
+    let Ok(Record::Chunk { header, data }) = mcap::parse_record(op::CHUNK, body) else { return None };
+    let is_whole = header.compression.is_empty()
+        && body.len() == CHUNK_HEAD_BYTES + data.len()
+        && header.uncompressed_size == data.len() as u64
+        && crc32fast::hash(&data) == header.uncompressed_crc;
+    if !is_whole {
+        return None;
+    }
+    let mut content = ChunkContent::default();
+    let mut rest: &[u8] = &data;
+    while !rest.is_empty() {
+        let (opcode, length) = record_head(rest)?;
+        let (_, after) = rest.split_at_checked(RECORD_HEAD_BYTES as usize)?;
+        let (body, after) = after.split_at_checked(usize::try_from(length).ok()?)?;
+        rest = after;
+        match mcap::parse_record(opcode, body).ok()? {
+            Record::Channel(channel) if channel.topic == TOPIC => {
+                if channel.message_encoding != payload::MESSAGE_ENCODING {
+                    return Some(ChunkContent {
+                        foreign_encoding: Some(channel.message_encoding),
+                        ..ChunkContent::default()
+                    });
+                }
+                content.stated = StatedLayout::from_metadata(&channel.metadata);
+            }
+            Record::Message { data, .. } => content.blocks.push(payload::decode(&data)?),
+            _ => {}
+        }
+    }
+    Some(content)
+}
+
+/// Appends where the frames of a chunk stand, as far as they are after those of the entries before.
+pub(super) fn append_entries<B: Borrow<LoggedFrames>>(
+    entries: &mut Vec<Entry>,
+    blocks: &[B],
+    offset: u64,
+    length: u64,
+) {
+    for block in blocks {
+        let block = block.borrow();
+        let (epoch, end, ended) = (block.epoch, block.end(), block.ended);
+        let mut first = block.sequence;
+        if let Some(last) = entries.last_mut() {
+            let is_old = epoch < last.epoch || (epoch == last.epoch && (end, ended) <= (last.end, last.ended));
+            if is_old {
+                continue;
+            }
+            if epoch == last.epoch {
+                first = first.max(last.end).min(end);
+                if last.offset == offset {
+                    last.frames += end - first;
+                    last.end = end;
+                    last.ended = ended;
+                    continue;
+                }
+            }
+        }
+        entries.push(Entry { epoch, first, end, frames: end - first, ended, offset, length });
+    }
+}

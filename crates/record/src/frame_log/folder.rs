@@ -1,0 +1,176 @@
+//! The segments of a folder: which there are, and where their frames stand.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::chunk::Entry;
+use super::scan::{Scan, scan};
+use super::segment::SegmentName;
+use crate::RecordError;
+
+/// Indices of older segments that are kept in memory, the last used ones.
+const INDICES_KEPT: usize = 4;
+
+/// What the writer and the readers of a log share.
+#[derive(Debug)]
+pub(super) struct Folder {
+    path: PathBuf,
+    segments: Mutex<Segments>,
+}
+
+/// The segments, and the indices of some.
+#[derive(Debug, Default)]
+pub(super) struct Segments {
+    sizes: BTreeMap<SegmentName, u64>,
+    bytes: u64,
+    /// The one that is being written, with its index.
+    written: Option<(SegmentName, Vec<Entry>)>,
+    /// Indices of others, the last used one last.
+    kept: VecDeque<(SegmentName, Arc<Vec<Entry>>)>,
+}
+
+impl Folder {
+    /// The folder with the segments that its files are, by their names.
+    pub(super) fn read(path: &Path) -> Result<Self, RecordError> {
+        let failed = |source| RecordError::ReadFile { path: path.to_owned(), source };
+        let mut segments = Segments::default();
+        for entry in std::fs::read_dir(path).map_err(failed)? {
+            let entry = entry.map_err(failed)?;
+            if let Some(name) = entry.file_name().to_str().and_then(SegmentName::parse) {
+                segments.set_size(name, entry.metadata().map_err(failed)?.len());
+            }
+        }
+        Ok(Self { path: path.to_owned(), segments: Mutex::new(segments) })
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(super) fn segments(&self) -> MutexGuard<'_, Segments> {
+        self.segments.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The segment in which frames of this number or later may be first.
+    pub(super) fn segment_at(&self, epoch: u64, sequence: u64) -> Option<SegmentName> {
+        let sizes = &self.segments().sizes;
+        let place = SegmentName { epoch, sequence };
+        let before = sizes.range(..=place).next_back();
+        before.or_else(|| sizes.range(place..).next()).map(|(name, _)| *name)
+    }
+
+    /// The segment after this one.
+    pub(super) fn segment_after(&self, name: SegmentName) -> Option<SegmentName> {
+        use std::ops::Bound::{Excluded, Unbounded};
+        self.segments().sizes.range((Excluded(name), Unbounded)).next().map(|(name, _)| *name)
+    }
+
+    pub(super) fn names(&self) -> Vec<SegmentName> {
+        self.segments().sizes.keys().copied().collect()
+    }
+
+    /// Takes from the index of a segment; `None` if the segment is gone or cannot be read.
+    pub(super) fn with_index<T>(
+        &self,
+        name: SegmentName,
+        take: impl Fn(&[Entry]) -> T,
+    ) -> Result<Option<T>, RecordError> {
+        {
+            let mut segments = self.segments();
+            if let Some((_, entries)) = segments.written.as_ref().filter(|(written, _)| *written == name) {
+                return Ok(Some(take(entries)));
+            }
+            if let Some(entries) = segments.kept_index(name) {
+                drop(segments);
+                return Ok(Some(take(&entries)));
+            }
+        }
+        // without the lock: the pass takes its time, and the log goes on
+        let entries = match scan(&name.path(&self.path)) {
+            Ok(Scan { entries, .. }) => Arc::new(entries),
+            Err(error) if is_gone(&error) => return Ok(None),
+            Err(error) => return Err(error),
+        };
+        self.segments().keep_index(name, Arc::clone(&entries));
+        Ok(Some(take(&entries)))
+    }
+
+    /// Deletes a segment; one that is gone is no error.
+    pub(super) fn delete(&self, name: SegmentName) -> Result<(), RecordError> {
+        let path = name.path(&self.path);
+        match std::fs::remove_file(&path) {
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => Err(RecordError::WriteLog { path, source }),
+            _ => {
+                self.segments().forget(name);
+                Ok(())
+            }
+        }
+    }
+}
+
+/// Whether a file is not there any more: retention may delete a segment while it is about to be read.
+pub(super) fn is_gone(error: &RecordError) -> bool {
+    matches!(error, RecordError::Open { source, .. } if source.kind() == std::io::ErrorKind::NotFound)
+}
+
+impl Segments {
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// The oldest segments, without the one that is being written.
+    pub(super) fn oldest(&self) -> impl Iterator<Item = SegmentName> {
+        let written = self.written.as_ref().map(|(name, _)| *name);
+        self.sizes.keys().copied().filter(move |name| Some(*name) != written)
+    }
+
+    pub(super) fn newest(&self) -> Option<SegmentName> {
+        self.sizes.last_key_value().map(|(name, _)| *name)
+    }
+
+    pub(super) fn set_size(&mut self, name: SegmentName, bytes: u64) {
+        let before = self.sizes.insert(name, bytes).unwrap_or(0);
+        self.bytes = self.bytes - before + bytes;
+    }
+
+    pub(super) fn forget(&mut self, name: SegmentName) {
+        self.bytes -= self.sizes.remove(&name).unwrap_or(0);
+        self.kept.retain(|(kept, _)| *kept != name);
+        self.written.take_if(|(written, _)| *written == name);
+    }
+
+    /// The index of the segment that is being written, which begins if it is another one.
+    pub(super) fn index_of_written(&mut self, name: SegmentName) -> &mut Vec<Entry> {
+        if self.written.as_ref().is_none_or(|(written, _)| *written != name) {
+            self.end_written();
+        }
+        &mut self.written.get_or_insert_with(|| (name, Vec::new())).1
+    }
+
+    /// The segment that was written is one of the older ones from now on.
+    pub(super) fn end_written(&mut self) {
+        if let Some((name, entries)) = self.written.take() {
+            self.keep_index(name, Arc::new(entries));
+        }
+    }
+
+    fn kept_index(&mut self, name: SegmentName) -> Option<Arc<Vec<Entry>>> {
+        let place = self.kept.iter().position(|(kept, _)| *kept == name)?;
+        let used = self.kept.remove(place)?;
+        let entries = Arc::clone(&used.1);
+        self.kept.push_back(used);
+        Some(entries)
+    }
+
+    pub(super) fn keep_index(&mut self, name: SegmentName, entries: Arc<Vec<Entry>>) {
+        if !self.sizes.contains_key(&name) {
+            return; // deleted meanwhile
+        }
+        self.kept.retain(|(kept, _)| *kept != name);
+        self.kept.push_back((name, entries));
+        if self.kept.len() > INDICES_KEPT {
+            self.kept.pop_front();
+        }
+    }
+}

@@ -1,0 +1,189 @@
+//! Frames by their number, from the segments of a folder.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::sync::Arc;
+
+use super::chunk::{Entry, RECORD_HEAD_BYTES, chunk_content, record_head};
+use super::folder::{Folder, is_gone};
+use super::segment::SegmentName;
+use super::{LogSpan, LoggedFrames};
+use crate::RecordError;
+
+/// Read from a file at once, if a single chunk is not longer.
+const READ_BYTES: u64 = 1 << 20;
+/// Read at once even if fewer bytes of values are wanted: what stands around them is not known before.
+const LEAST_READ_BYTES: u64 = 4096;
+
+/// Reads a frame log, also while it is written.
+#[derive(Debug, Clone)]
+pub struct FrameLogReader {
+    folder: Arc<Folder>,
+}
+
+impl FrameLogReader {
+    pub(super) fn new(folder: Arc<Folder>) -> Self {
+        Self { folder }
+    }
+
+    /// Frames of an epoch from number `after` on, joined to up to `limit` frames and `bytes` bytes of values, at least to one
+    /// frame; they stop at a gap and at the end of the epoch.
+    ///
+    /// If `after` is missing or no longer kept: from the next frame that is there on, which the number tells. `None` if there is
+    /// nothing at or after it. Where the epoch is known to end at `after`, the answer has no frames, and `ended`: whoever has all
+    /// frames learns that there are no more. Node positions are those after the last frame, or none where a block was cut.
+    ///
+    /// # Errors
+    /// A segment cannot be opened or read. A damaged chunk is no error but a gap.
+    pub fn read(&self, epoch: u64, after: u64, limit: u64, bytes: usize) -> Result<Option<LoggedFrames>, RecordError> {
+        let mut reading = Reading { epoch, next: after, limit, bytes, joined: None };
+        let mut segment = self.folder.segment_at(epoch, after);
+        while let Some(name) = segment.filter(|name| name.epoch <= epoch) {
+            while let Some(entries) = self.folder.with_index(name, |entries| reading.group(entries))? {
+                let Some(last) = entries.last() else { break };
+                let before = reading.next;
+                if !self.read_group(name, &entries, &mut reading)? {
+                    return Ok(reading.joined);
+                }
+                // what could not be read must not be asked for again
+                reading.next = reading.next.max(last.end);
+                if reading.next == before {
+                    break;
+                }
+            }
+            segment = self.folder.segment_after(name);
+        }
+        Ok(reading.joined)
+    }
+
+    /// Reads the chunks of some entries, which follow each other; whether more is wanted.
+    fn read_group(&self, name: SegmentName, entries: &[Entry], reading: &mut Reading) -> Result<bool, RecordError> {
+        let (Some(first), Some(last)) = (entries.first(), entries.last()) else { return Ok(true) };
+        let path = name.path(self.folder.path());
+        let read = || -> Result<Vec<u8>, RecordError> {
+            let mut file = File::open(&path).map_err(|source| RecordError::Open { path: path.clone(), source })?;
+            let mut bytes = Vec::new();
+            let length = last.offset + last.length - first.offset;
+            file.seek(SeekFrom::Start(first.offset))
+                .and_then(|_| file.take(length).read_to_end(&mut bytes))
+                .map_err(|source| RecordError::ReadFile { path: path.clone(), source })?;
+            Ok(bytes)
+        };
+        let bytes = match read() {
+            Err(error) if is_gone(&error) => return Ok(true),
+            read => read?,
+        };
+        for entry in entries {
+            let start = (entry.offset - first.offset) as usize;
+            let record = bytes.get(start..).and_then(|bytes| bytes.get(..entry.length as usize));
+            let body = record.filter(|record| {
+                record_head(record).is_some_and(|(_, length)| RECORD_HEAD_BYTES + length == entry.length)
+            });
+            let content = body.and_then(|record| chunk_content(&record[RECORD_HEAD_BYTES as usize..]));
+            for block in content.map(|content| content.blocks).unwrap_or_default() {
+                if !reading.take(block) {
+                    return Ok(false);
+                }
+            }
+        }
+        Ok(true)
+    }
+
+    /// The epoch that follows this one in the log, or the lowest one; `None` if there is none, or if the segment in question
+    /// cannot be read.
+    pub fn next_epoch(&self, epoch: Option<u64>) -> Option<u64> {
+        let lowest = match epoch {
+            Some(epoch) => epoch.checked_add(1)?,
+            None => 0,
+        };
+        let mut segment = self.folder.segment_at(lowest, 0);
+        while let Some(name) = segment {
+            let epoch_of = |entries: &[Entry]| entries.iter().map(|entry| entry.epoch).find(|epoch| *epoch >= lowest);
+            if let Some(found) = self.folder.with_index(name, epoch_of).ok().flatten().flatten() {
+                return Some(found);
+            }
+            segment = self.folder.segment_after(name);
+        }
+        None
+    }
+
+    /// Which frames of which epochs the log holds, by the order of epochs. It reads all segments that have not been read yet, and
+    /// leaves out those that cannot be read.
+    pub fn spans(&self) -> Vec<LogSpan> {
+        let mut spans: BTreeMap<u64, LogSpan> = BTreeMap::new();
+        for name in self.folder.names() {
+            let Ok(Some(entries)) = self.folder.with_index(name, <[Entry]>::to_vec) else { continue };
+            for Entry { epoch, first, end, frames, .. } in entries {
+                let span = spans.entry(epoch).or_insert(LogSpan { epoch, from: first, to: first, missing: 0 });
+                // what is missing between the entries, and within this one
+                span.missing += first.saturating_sub(span.to) + (end - first - frames);
+                span.to = end;
+            }
+        }
+        spans.into_values().collect()
+    }
+}
+
+/// Frames that are being joined.
+struct Reading {
+    epoch: u64,
+    next: u64,
+    limit: u64,
+    bytes: usize,
+    joined: Option<LoggedFrames>,
+}
+
+impl Reading {
+    /// The next entries to be read together: as many as are wanted, but no more bytes than are read at once.
+    fn group(&self, entries: &[Entry]) -> Vec<Entry> {
+        let is_before = |entry: &Entry| {
+            let has_passed = entry.end < self.next || (entry.end == self.next && !entry.ended);
+            entry.epoch < self.epoch || (entry.epoch == self.epoch && has_passed)
+        };
+        let start = entries.partition_point(is_before);
+        let mut group: Vec<Entry> = Vec::new();
+        let mut frames = 0;
+        for entry in entries[start..].iter().take_while(|entry| entry.epoch == self.epoch) {
+            let begin = group.first().map_or(entry.offset, |first| first.offset);
+            let wanted = (self.bytes as u64).saturating_mul(2).saturating_add(LEAST_READ_BYTES).min(READ_BYTES);
+            let is_enough = frames >= self.limit || entry.offset + entry.length - begin > wanted;
+            if !group.is_empty() && is_enough {
+                break;
+            }
+            frames += entry.end - entry.first.max(self.next).min(entry.end);
+            group.push(*entry);
+        }
+        group
+    }
+
+    /// Takes a block; whether more is wanted.
+    fn take(&mut self, mut block: LoggedFrames) -> bool {
+        let says_nothing = block.end() < self.next || (block.end() == self.next && !block.ended);
+        if block.epoch != self.epoch || says_nothing {
+            return true;
+        }
+        block.skip_to(self.next);
+        let fitting = (self.bytes / (8 * usize::from(block.channels).max(1))) as u64;
+        let room = self.limit.min(fitting).max(1);
+        match &mut self.joined {
+            None => {
+                block.truncate(room);
+                self.next = block.end();
+                let goes_on = block.count() < room && !block.ended;
+                self.joined = Some(block);
+                goes_on
+            }
+            Some(joined) => {
+                let room = room.saturating_sub(joined.count());
+                block.truncate(room);
+                let (end, ended) = (block.end(), block.ended);
+                if joined.join(block).is_err() {
+                    return false;
+                }
+                self.next = end;
+                joined.count() < self.limit.min(fitting).max(1) && !ended
+            }
+        }
+    }
+}

@@ -1,0 +1,238 @@
+//! The segment that is being written.
+
+use std::borrow::Cow;
+use std::fs::{File, OpenOptions};
+use std::io::{Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use mcap::records::MessageHeader;
+use mcap::{WriteOptions, Writer};
+
+use super::chunk::{RECORD_HEAD_BYTES, record_head};
+use super::layout::{StatedLayout, TOPIC};
+use super::scan::mended_end;
+use super::{LoggedFrames, payload};
+use crate::RecordError;
+
+/// What a segment is named after: epoch and number of its first frame. Segments are in the order of their names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct SegmentName {
+    pub(super) epoch: u64,
+    pub(super) sequence: u64,
+}
+
+const PREFIX: &str = "frames-";
+const SUFFIX: &str = ".mcap";
+/// What is behind the name of a segment that could not be read.
+const SET_ASIDE: &str = "unreadable";
+
+impl SegmentName {
+    pub(super) fn of(frames: &LoggedFrames) -> Self {
+        Self { epoch: frames.epoch, sequence: frames.sequence }
+    }
+
+    pub(super) fn parse(file_name: &str) -> Option<Self> {
+        let numbers = file_name.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)?;
+        let (epoch, sequence) = numbers.split_once('-')?;
+        let number = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit()).then(|| text.parse().ok()).flatten();
+        let name = Self { epoch: number(epoch)?, sequence: number(sequence)? };
+        (name.file_name() == file_name).then_some(name)
+    }
+
+    pub(super) fn file_name(self) -> String {
+        format!("{PREFIX}{:020}-{:020}{SUFFIX}", self.epoch, self.sequence)
+    }
+
+    pub(super) fn path(self, folder: &Path) -> PathBuf {
+        folder.join(self.file_name())
+    }
+}
+
+/// Gives a segment that cannot be read another name, so that it is neither read again nor lost.
+pub(super) fn set_aside(path: &Path) -> Result<PathBuf, RecordError> {
+    let mut aside = PathBuf::from(format!("{}.{SET_ASIDE}", path.display()));
+    let mut again = 1;
+    while aside.exists() {
+        again += 1;
+        aside = PathBuf::from(format!("{}.{again}.{SET_ASIDE}", path.display()));
+    }
+    std::fs::rename(path, &aside).map_err(|source| RecordError::WriteLog { path: path.to_owned(), source })?;
+    Ok(aside)
+}
+
+/// Cuts a segment behind its last whole chunk, and ends it so that any reader of MCAP opens it.
+pub(super) fn mend(path: &Path, whole: u64) -> Result<u64, RecordError> {
+    let failed = |source| RecordError::WriteLog { path: path.to_owned(), source };
+    let mut file = OpenOptions::new().write(true).open(path).map_err(failed)?;
+    let mended = end_at(&mut file, whole).and_then(|bytes| file.sync_all().map(|()| bytes));
+    mended.map_err(failed)
+}
+
+/// Cuts the file to `whole` bytes and ends it there; returns its length. An end that does not fit on the disk is left out.
+fn end_at(file: &mut File, whole: u64) -> std::io::Result<u64> {
+    file.set_len(whole)?;
+    file.seek(SeekFrom::Start(whole))?;
+    let end = mended_end();
+    match file.write_all(&end) {
+        Ok(()) => Ok(whole + end.len() as u64),
+        Err(_) => file.set_len(whole).map(|()| whole), // it can be read without, and is mended when the log is opened
+    }
+}
+
+/// Bytes between the writer of MCAP and the file: a chunk goes to the file in one piece.
+#[derive(Clone, Default)]
+struct Pending(Arc<Mutex<Vec<u8>>>);
+
+impl Pending {
+    fn bytes(&self) -> MutexGuard<'_, Vec<u8>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The end that the writer of MCAP has: it knows its place in the file.
+struct Sink {
+    pending: Pending,
+    place: u64,
+}
+
+impl Write for Sink {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.pending.bytes().extend_from_slice(bytes);
+        self.place += bytes.len() as u64;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Seek for Sink {
+    fn seek(&mut self, place: SeekFrom) -> std::io::Result<u64> {
+        match place {
+            SeekFrom::Current(0) => Ok(self.place),
+            _ => Err(std::io::ErrorKind::Unsupported.into()),
+        }
+    }
+}
+
+/// A segment that is being written.
+pub(super) struct OpenSegment {
+    name: SegmentName,
+    path: PathBuf,
+    file: Arc<File>,
+    writer: Writer<Sink>,
+    pending: Pending,
+    channel: u16,
+    messages: u32,
+    chunks: u32,
+    /// Bytes in the file: up to the end of its last chunk.
+    bytes: u64,
+    message: Vec<u8>,
+}
+
+impl OpenSegment {
+    /// Creates the file, empty: its beginning goes out with its first chunk. A file of this name that is there holds nothing
+    /// that could be read, and is set aside.
+    pub(super) fn create(folder: &Path, name: SegmentName, stated: &StatedLayout) -> Result<Self, RecordError> {
+        let path = name.path(folder);
+        let create = || OpenOptions::new().write(true).create_new(true).open(&path);
+        let created = match create() {
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
+                set_aside(&path)?;
+                create()
+            }
+            created => created,
+        };
+        let file = created.map_err(|source| RecordError::WriteLog { path: path.clone(), source })?;
+        let refused = |source| RecordError::WriteMcap { path: path.clone(), source: Box::new(source) };
+        let pending = Pending::default();
+        let mut writer = WriteOptions::new()
+            .library(concat!("spandrel ", env!("CARGO_PKG_VERSION")))
+            .compression(None) // noise in the last bits of the samples does not compress, and small chunks even less
+            .chunk_size(None) // a chunk ends where an append does
+            .disable_seeking(true)
+            .create(Sink { pending: pending.clone(), place: 0 })
+            .map_err(refused)?;
+        let schema = writer
+            .add_schema(payload::SCHEMA_NAME, payload::SCHEMA_ENCODING, payload::SCHEMA.as_bytes())
+            .map_err(refused)?;
+        let channel =
+            writer.add_channel(schema, TOPIC, payload::MESSAGE_ENCODING, &stated.metadata()).map_err(refused)?;
+        let (messages, chunks, bytes, message) = (0, 0, 0, Vec::new());
+        Ok(Self { name, path, file: Arc::new(file), writer, pending, channel, messages, chunks, bytes, message })
+    }
+
+    pub(super) fn name(&self) -> SegmentName {
+        self.name
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(super) fn file(&self) -> &Arc<File> {
+        &self.file
+    }
+
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    pub(super) fn chunks(&self) -> u32 {
+        self.chunks
+    }
+
+    /// Writes a chunk; returns where its record begins, and its length. After an error the segment must be cut back.
+    pub(super) fn append(&mut self, blocks: &[Cow<'_, LoggedFrames>]) -> Result<(u64, u64), RecordError> {
+        let refused = |source| RecordError::WriteMcap { path: self.path.clone(), source: Box::new(source) };
+        let before = self.pending.bytes().len() as u64; // magic and header of a new segment
+        for block in blocks {
+            payload::encode_to(block, &mut self.message);
+            let log_time = u64::try_from(block.time_ns()).unwrap_or(0);
+            let header =
+                MessageHeader { channel_id: self.channel, sequence: self.messages, log_time, publish_time: log_time };
+            self.writer.write_to_known_channel(&header, &self.message).map_err(refused)?;
+            self.messages = self.messages.wrapping_add(1);
+        }
+        self.writer.flush().map_err(refused)?;
+        let mut pending = self.pending.bytes();
+        let length = record_head(&pending[before as usize..]).map_or(0, |(_, length)| RECORD_HEAD_BYTES + length);
+        write_all(&self.file, &pending).map_err(|source| RecordError::WriteLog { path: self.path.clone(), source })?;
+        let offset = self.bytes + before;
+        self.bytes += pending.len() as u64;
+        self.chunks += 1;
+        pending.clear();
+        Ok((offset, length))
+    }
+
+    /// Writes index and footer; returns the length of the file. What does not fit is cut off again.
+    pub(super) fn finish(mut self) -> Result<u64, RecordError> {
+        let finished = self.writer.finish();
+        finished.map_err(|source| RecordError::WriteMcap { path: self.path.clone(), source: Box::new(source) })?;
+        let written = write_all(&self.file, &self.pending.bytes());
+        match written {
+            Ok(()) => Ok(self.bytes + self.pending.bytes().len() as u64),
+            Err(source) => {
+                let path = self.path.clone();
+                self.cut_back()?;
+                Err(RecordError::WriteLog { path, source })
+            }
+        }
+    }
+
+    /// Cuts the file behind its last whole chunk and ends it there; one without a chunk is removed. Returns its length.
+    pub(super) fn cut_back(self) -> Result<u64, RecordError> {
+        let Self { path, file, bytes, chunks, .. } = self;
+        let done = match chunks {
+            0 => std::fs::remove_file(&path).map(|()| 0),
+            _ => file.try_clone().and_then(|mut file| end_at(&mut file, bytes)),
+        };
+        done.map_err(|source| RecordError::WriteLog { path, source })
+    }
+}
+
+fn write_all(mut file: &File, bytes: &[u8]) -> std::io::Result<()> {
+    file.write_all(bytes)
+}

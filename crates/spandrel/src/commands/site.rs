@@ -1,0 +1,139 @@
+//! `spandrel site`: the authority of a site, certificates for its parties, and the file of its router.
+
+use super::{counted, print};
+use crate::cli::{SiteCommand, SiteRouterArguments};
+use crate::error::AppError;
+use spandrel_access::{AccessError, Existing, Issued, Party, Role, RouterPlan, SiteFolder, router_file};
+use spandrel_bus::{AUTHORITY_FILE, DEFAULT_ROOT, Name};
+use spandrel_structure::Structure;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// File of the router in the folder of a site.
+const ROUTER_FILE: &str = "router.json5";
+
+/// Carries out a command on the folder of a site.
+///
+/// # Errors
+/// When something is there already, a name or file is wrong, or a file cannot be written.
+pub fn run(command: SiteCommand) -> Result<(), AppError> {
+    match command {
+        SiteCommand::Create { folder, name, days, replace } => {
+            let name = Name::new(name)?;
+            let (_, authority) = SiteFolder::create(&folder, name.as_str(), days, existing(replace))?;
+            print(&told(&authority))?;
+            print("keep the key of the authority off the machines that are connected to each other\n")
+        }
+        SiteCommand::Issue { folder, role, name, host, days, replace } => {
+            let party = Party::new(role, &name).map_err(AccessError::from)?;
+            let issued = SiteFolder::open(&folder)?.issue(&party, &host, days, existing(replace))?;
+            print(&told(&issued))
+        }
+        SiteCommand::Nodes { folder, structures, days } => issue_to_nodes(&folder, &structures, days),
+        SiteCommand::Router(arguments) => write_router_file(&arguments),
+    }
+}
+
+fn existing(replace: bool) -> Existing {
+    if replace { Existing::Replace } else { Existing::Keep }
+}
+
+fn told(issued: &Issued) -> String {
+    let Issued { certificate, key, expires } = issued;
+    format!("{}, {}: until {expires}\n", certificate.display(), key.display())
+}
+
+/// The nodes of a structure: as sensors, and as workers where they identify for themselves.
+fn nodes_of(structure: &Structure) -> Result<Vec<Party>, AppError> {
+    let roles: &[Role] = if structure.fusion().is_some() { &[Role::Sensor, Role::NodeWorker] } else { &[Role::Sensor] };
+    let mut parties = Vec::new();
+    for node in structure.nodes() {
+        for role in roles {
+            let name = format!("{}.{}", structure.name(), node.name());
+            parties.push(Party::new(*role, &name).map_err(AccessError::from)?);
+        }
+    }
+    Ok(parties)
+}
+
+fn issue_to_nodes(folder: &Path, structures: &[PathBuf], days: u32) -> Result<(), AppError> {
+    let site = SiteFolder::open(folder)?;
+    let known = site.parties()?;
+    for path in structures {
+        for party in nodes_of(&Structure::read(path)?)?.into_iter().filter(|party| !known.contains(party)) {
+            print(&told(&site.issue(&party, &[], days, Existing::Keep)?))?;
+        }
+    }
+    Ok(())
+}
+
+fn write_router_file(arguments: &SiteRouterArguments) -> Result<(), AppError> {
+    let site = SiteFolder::open(&arguments.folder)?;
+    let structures = arguments.structures.iter().map(|path| Structure::read(path)).collect::<Result<Vec<_>, _>>()?;
+    let parties = site.parties()?;
+    check_names(&parties, &structures)?;
+    let router = site.router(arguments.router.as_deref())?;
+    let root = Name::new(arguments.root.as_deref().unwrap_or(DEFAULT_ROOT))?;
+    let folder = match &arguments.installed_in {
+        Some(folder) => folder.clone(),
+        None => std::path::absolute(&arguments.folder).map_err(|source| AppError::Io {
+            what: format!("{}: has no absolute path", arguments.folder.display()),
+            source,
+        })?,
+    };
+    let at = |file: &str| folder.join(file);
+    let common_name = router.common_name();
+    let text = router_file(&RouterPlan {
+        root: &root,
+        listen: &arguments.listen,
+        certificate: &at(&format!("{common_name}.pem")),
+        key: &at(&format!("{common_name}.key")),
+        authority: &at(AUTHORITY_FILE),
+        parties: &parties,
+    })?;
+    let output = arguments.output.clone().unwrap_or_else(|| arguments.folder.join(ROUTER_FILE));
+    if output.exists() && !arguments.replace {
+        return Err(AccessError::Exists { path: output }.into());
+    }
+    let written = std::fs::write(&output, text);
+    written.map_err(|source| AccessError::File { what: "written", path: output.clone(), source })?;
+    print(&summary(&output, &parties, &structures)?)
+}
+
+/// Refuses certificates of structures and nodes that there are not: a slip of the pen would be found out by silence only.
+fn check_names(parties: &[Party], structures: &[Structure]) -> Result<(), AppError> {
+    for party in parties {
+        let Some(name) = party.structure() else { continue };
+        let Some(structure) = structures.iter().find(|structure| structure.name() == name.as_str()) else {
+            let known: Vec<&str> = structures.iter().map(Structure::name).collect();
+            return Err(AppError::CertificateOfNone { party: party.common_name(), known: known.join(", ") });
+        };
+        let is_node = |node: &Name| structure.nodes().iter().any(|known| known.name() == node.as_str());
+        if let Some(node) = party.node().filter(|node| !is_node(node)) {
+            let known: Vec<&str> = structure.nodes().iter().map(|node| node.name()).collect();
+            let (structure, name) = (structure.name().to_owned(), node.to_string());
+            return Err(AppError::UnknownNode { structure, name, known: known.join(", ") });
+        }
+    }
+    Ok(())
+}
+
+fn summary(output: &Path, parties: &[Party], structures: &[Structure]) -> Result<String, AppError> {
+    let admitted = parties.iter().filter(|party| party.role() != Role::Router).count();
+    let mut text = format!("{}: {} may connect\n", output.display(), counted(admitted, "party", "parties"));
+    for structure in structures {
+        let is_a_gateway = |party: &&Party| {
+            party.role() == Role::Gateway && party.structure().is_some_and(|name| name.as_str() == structure.name())
+        };
+        let missing: Vec<String> = nodes_of(structure)?
+            .into_iter()
+            .filter(|party| !parties.contains(party))
+            .map(|party| party.common_name())
+            .collect();
+        if !missing.is_empty() && parties.iter().find(is_a_gateway).is_none() {
+            // writing to a String does not fail
+            let _ = writeln!(text, "without a certificate: {} (spandrel site nodes issues them)", missing.join(", "));
+        }
+    }
+    Ok(text + "a router that runs takes it when it is started again\n")
+}

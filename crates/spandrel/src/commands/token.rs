@@ -1,0 +1,23 @@
+//! `spandrel token`: a token for the web page.
+
+use super::print;
+use crate::cli::{TokenArguments, TokenRole};
+use crate::error::AppError;
+use spandrel_bus::Name;
+use spandrel_dashboard::{PageRole, Tokens};
+use tracing::info;
+
+/// Makes a token, prints it, and keeps its hash.
+///
+/// # Errors
+/// When the name has one, or the file cannot be read or written.
+pub fn run(arguments: &TokenArguments) -> Result<(), AppError> {
+    let role = match arguments.role {
+        TokenRole::Viewer => PageRole::Viewer,
+        TokenRole::Operator => PageRole::Operator,
+    };
+    let name = Name::new(&*arguments.name)?;
+    let secret = Tokens::issue(&arguments.file, name, role, arguments.replace)?;
+    info!(file = %arguments.file.display(), "kept as a hash; a page that runs takes it when it is started again");
+    print(&format!("{secret}\n"))
+}

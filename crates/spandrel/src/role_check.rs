@@ -1,0 +1,145 @@
+//! Whether the certificate of a process lets it do what its subcommand has to: a router drops what a role may not, and tells nobody.
+
+use crate::error::AppError;
+use spandrel_access::{Party, Right, Role, rights};
+use spandrel_bus::{Bus, BusConfig, KeyFamily, Service};
+use tracing::warn;
+
+/// Something that a subcommand has to do, and its words.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Need {
+    words: &'static str,
+    right: Right,
+    family: KeyFamily,
+}
+
+impl Need {
+    const fn new(words: &'static str, right: Right, family: KeyFamily) -> Self {
+        Self { words, right, family }
+    }
+
+    pub const PUT_SAMPLES: Self = Self::new("put samples", Right::Put, KeyFamily::Samples);
+    pub const PUT_FRAMES: Self = Self::new("put frames", Right::Put, KeyFamily::Frames);
+    pub const PUT_ESTIMATES: Self = Self::new("put estimates", Right::Put, KeyFamily::Estimates);
+    pub const PUT_LOCAL: Self = Self::new("put the estimates of a node", Right::Put, KeyFamily::Local);
+    pub const PUT_FEEDBACK: Self = Self::new("put feedback to nodes", Right::Put, KeyFamily::Feedback);
+    pub const PUT_ALERTS: Self = Self::new("put alerts", Right::Put, KeyFamily::Alert);
+    pub const ANSWER_HISTORY: Self = Self::new("answer for the history", Right::Answer, KeyFamily::History);
+    pub const NOTIFY: Self = Self::new("announce notify", Right::Announce, KeyFamily::Live(Service::Notify));
+    pub const SHOW_A_PAGE: Self =
+        Self::new("announce a dashboard", Right::Announce, KeyFamily::Live(Service::Dashboard));
+    pub const SEE_PARAMETERS: Self = Self::new("see parameters", Right::Subscribe, KeyFamily::Parameter);
+}
+
+/// What a subcommand is about to do.
+#[derive(Debug, Clone)]
+pub struct Work<'w> {
+    /// Its name.
+    pub subcommand: &'static str,
+    /// What it has to be allowed.
+    pub needs: &'w [Need],
+    /// The structures that it does it for; none: those that there are.
+    pub structures: Vec<&'w str>,
+    /// The nodes that it does it for, of a subcommand that speaks for nodes.
+    pub nodes: Vec<&'w str>,
+}
+
+/// Refuses a certificate that does not allow the work where a router is reached, which would drop what is not allowed. Between peers
+/// roles do not hold: there it is a warning.
+///
+/// # Errors
+/// [`AppError::WrongRole`], or the certificate cannot be read.
+pub async fn check(bus: &Bus, config: &BusConfig, work: &Work<'_>) -> Result<(), AppError> {
+    let Some(tls) = &config.tls else { return Ok(()) };
+    let Some(party) = Party::of_certificate(&tls.certificate)? else { return Ok(()) };
+    let Some(why) = objection(&party, work) else { return Ok(()) };
+    let certificate = tls.certificate.clone();
+    if bus.reaches_a_router().await {
+        return Err(AppError::WrongRole { certificate, why });
+    }
+    warn!(certificate = %certificate.display(), why, "a router of the site would drop what this puts");
+    Ok(())
+}
+
+/// Why a party may not do some work, and who may; `None` if it may.
+fn objection(party: &Party, work: &Work<'_>) -> Option<String> {
+    let (role, subcommand) = (party.role(), work.subcommand);
+    let lacks = |role: Role| {
+        let allowed = rights(role);
+        work.needs.iter().copied().find(|need| !allowed.contains(&(need.right, need.family)))
+    };
+    if let Some(need) = lacks(role) {
+        let fitting: Vec<&str> =
+            Role::ALL.into_iter().filter(|role| lacks(*role).is_none()).map(Role::as_str).collect();
+        let name = party.common_name();
+        return Some(format!(
+            "it is that of {name}, and role {role} may not {}, as spandrel {subcommand} has to; roles that may: {}",
+            need.words,
+            fitting.join(", ")
+        ));
+    }
+    let own = party.structure()?.as_str();
+    if let Some(other) = work.structures.iter().find(|structure| **structure != own) {
+        return Some(format!("it is for structure {own} only, and spandrel {subcommand} is to be for {other}"));
+    }
+    let node = party.node()?.as_str();
+    let others: Vec<&str> = work.nodes.iter().copied().filter(|name| *name != node).collect();
+    (!others.is_empty()).then(|| {
+        format!(
+            "it is for node {node} of {own} only, and spandrel {subcommand} is to speak for {} too; choose the node with \
+             --node {node}, or use a certificate of role gateway",
+            others.join(", ")
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told(party: &str, needs: &[Need], nodes: &[&str]) -> Option<String> {
+        let work = Work { subcommand: "simulate", needs, structures: vec!["tower"], nodes: nodes.to_vec() };
+        objection(&party.parse().unwrap(), &work)
+    }
+
+    #[test]
+    fn a_role_that_may_not_is_told_which_ones_may() {
+        let samples = [Need::PUT_SAMPLES];
+        let why = "it is that of viewer.ada, and role viewer may not put samples, as spandrel simulate has to; roles that may: \
+                   gateway, sensor";
+        assert_eq!(told("viewer.ada", &samples, &["ground", "roof"]).as_deref(), Some(why));
+        assert_eq!(told("gateway.tower", &samples, &["ground", "roof"]), None);
+        let all = [Need::PUT_FRAMES, Need::PUT_ESTIMATES, Need::PUT_ALERTS, Need::ANSWER_HISTORY, Need::SHOW_A_PAGE];
+        assert!(told("worker.main", &all, &[]).unwrap().ends_with("roles that may: server"));
+        assert_eq!(told("server.main", &all, &[]), None);
+        assert_eq!(told("worker.main", &all[..2], &[]), None);
+    }
+
+    #[test]
+    fn a_certificate_of_one_structure_or_node_is_for_nothing_else() {
+        let samples = [Need::PUT_SAMPLES];
+        assert!(told("gateway.bridge", &samples, &["ground"]).unwrap().contains("for structure bridge only"));
+        assert_eq!(told("sensor.tower.roof", &samples, &["roof"]), None);
+        let why = told("sensor.tower.roof", &samples, &["ground", "roof"]).unwrap();
+        assert!(why.contains("is to speak for ground too; choose the node with --node roof"), "{why}");
+    }
+
+    #[test]
+    fn every_need_is_met_by_some_role() {
+        for need in [
+            Need::PUT_SAMPLES,
+            Need::PUT_FRAMES,
+            Need::PUT_ESTIMATES,
+            Need::PUT_LOCAL,
+            Need::PUT_FEEDBACK,
+            Need::PUT_ALERTS,
+            Need::ANSWER_HISTORY,
+            Need::NOTIFY,
+            Need::SHOW_A_PAGE,
+            Need::SEE_PARAMETERS,
+        ] {
+            let met = Role::ALL.into_iter().any(|role| rights(role).contains(&(need.right, need.family)));
+            assert!(met, "{}", need.words);
+        }
+    }
+}

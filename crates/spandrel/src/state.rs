@@ -1,0 +1,154 @@
+//! Where services remember: recordings and checkpoints, a folder for each structure.
+
+use crate::error::AppError;
+use crate::settings::{NOTHING, state_folder};
+use serde::Deserialize;
+use spandrel_bus::Keys;
+use spandrel_checkpoint::Remembering;
+use spandrel_ingest::RecordingSettings;
+use spandrel_record::LogSettings;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// What survives the death of a process.
+#[derive(Debug, Clone, Default, Deserialize, PartialEq)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct StateSettings {
+    /// Folder of recordings and checkpoints, or [`NOTHING`]; none: where this system keeps what programs have to remember. A
+    /// relative folder in a configuration file is relative to it.
+    pub folder: Option<String>,
+    /// Time between two checkpoints, s.
+    pub checkpoint_s: Checkpointing,
+    /// The recording of frames.
+    pub recording: RecordedFrames,
+    /// Folder of the configuration file.
+    #[serde(skip)]
+    pub(crate) beside: PathBuf,
+}
+
+/// Time between two checkpoints, s.
+#[derive(Debug, Clone, Copy, Deserialize, PartialEq)]
+#[serde(try_from = "f64")]
+pub struct Checkpointing(f64);
+
+impl Default for Checkpointing {
+    fn default() -> Self {
+        Self(5.0)
+    }
+}
+
+impl TryFrom<f64> for Checkpointing {
+    type Error = String;
+
+    fn try_from(seconds: f64) -> Result<Self, String> {
+        match (0.01..=3600.0).contains(&seconds) {
+            true => Ok(Self(seconds)),
+            false => Err(format!("checkpoint-s is {seconds}, must lie between 0.01 and 3600 s")),
+        }
+    }
+}
+
+/// How frames are recorded, and for how long they are kept.
+#[derive(Debug, Clone, Deserialize, PartialEq)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct RecordedFrames {
+    /// For how long frames are kept, s of measurement.
+    pub keep_s: u64,
+    /// How much is kept of a structure, bytes.
+    pub keep_bytes: u64,
+    /// Size of a segment, bytes.
+    pub segment_bytes: u64,
+    /// Duration of a segment, s of measurement.
+    pub segment_s: u64,
+    /// How often what has been written is forced to the disk itself, s.
+    pub sync_s: f64,
+}
+
+impl Default for RecordedFrames {
+    fn default() -> Self {
+        let LogSettings { segment_bytes, segment_s, keep_bytes, keep_s } = LogSettings::default();
+        Self { keep_s, keep_bytes, segment_bytes, segment_s, sync_s: 1.0 }
+    }
+}
+
+/// The folders of one process.
+#[derive(Debug, Clone)]
+pub struct State {
+    folder: PathBuf,
+    checkpoint_every: Duration,
+    log: LogSettings,
+    sync_every: Duration,
+}
+
+impl StateSettings {
+    /// Where services remember; `None` where they do not.
+    ///
+    /// # Errors
+    /// There is no folder for it, or a duration is none.
+    pub fn state(&self) -> Result<Option<State>, AppError> {
+        let folder = match self.folder.as_deref() {
+            Some(NOTHING) => return Ok(None),
+            Some(folder) => self.beside.join(folder),
+            None => state_folder(|name| std::env::var_os(name).filter(|value| !value.is_empty()))
+                .ok_or(AppError::NoStateFolder)?,
+        };
+        let RecordedFrames { keep_s, keep_bytes, segment_bytes, segment_s, sync_s } = self.recording;
+        let sync_every = Duration::try_from_secs_f64(sync_s).map_err(|_| AppError::SyncTime { found: sync_s })?;
+        Ok(Some(State {
+            folder,
+            checkpoint_every: Duration::from_secs_f64(self.checkpoint_s.0),
+            log: LogSettings { segment_bytes, segment_s, keep_bytes, keep_s },
+            sync_every,
+        }))
+    }
+}
+
+impl State {
+    /// Where the frames of a structure are recorded.
+    pub fn recording(&self, keys: &Keys) -> RecordingSettings {
+        RecordingSettings { folder: self.of(keys).join("recording"), log: self.log, sync_every: self.sync_every }
+    }
+
+    /// Where the services of a structure keep their checkpoints.
+    pub fn remembering(&self, keys: &Keys) -> Remembering {
+        Remembering { folder: self.of(keys).join("checkpoints"), every: self.checkpoint_every }
+    }
+
+    fn of(&self, keys: &Keys) -> PathBuf {
+        let (root, structure): (&Path, &Path) = (keys.root().as_str().as_ref(), keys.structure().as_str().as_ref());
+        self.folder.join(root).join(structure)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_structure_has_its_folder_below_the_root_of_its_site() {
+        let settings =
+            StateSettings { folder: Some("kept".into()), beside: "/etc/spandrel".into(), ..Default::default() };
+        let state = settings.state().unwrap().unwrap();
+        let keys = Keys::parse("city", "bridge").unwrap();
+        assert_eq!(state.recording(&keys).folder, Path::new("/etc/spandrel/kept/city/bridge/recording"));
+        assert_eq!(state.remembering(&keys).folder, Path::new("/etc/spandrel/kept/city/bridge/checkpoints"));
+        let none = StateSettings { folder: Some("none".into()), ..Default::default() };
+        assert!(none.state().unwrap().is_none());
+    }
+
+    #[test]
+    fn a_time_that_is_none_is_refused() {
+        let read = |text: &str| toml::from_str::<StateSettings>(text);
+        assert_eq!(read("checkpoint-s = 2").unwrap().checkpoint_s, Checkpointing(2.0));
+        for seconds in ["0", "-1", "nan", "1e9"] {
+            let error = read(&format!("checkpoint-s = {seconds}")).unwrap_err().to_string();
+            assert!(error.contains("0.01 and 3600"), "{error}");
+        }
+        let endless = StateSettings {
+            folder: Some("kept".into()),
+            recording: RecordedFrames { sync_s: -1.0, ..Default::default() },
+            ..Default::default()
+        };
+        assert!(endless.state().unwrap_err().report().contains("sync-s"));
+    }
+}

@@ -1,0 +1,151 @@
+//! Keeps services alive: lives after a panic, and the word to systemd that all is well.
+
+use crate::error::AppError;
+use sd_notify::NotifyState;
+use spandrel_identify::FilterPool;
+use std::collections::VecDeque;
+use std::future::Future;
+use std::time::Duration;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::time::Instant;
+use tracing::{debug, error, info, warn};
+
+/// Panics of one service of one structure within [`PANICS_WITHIN`] after which the process ends: whoever supervises it begins anew.
+const MOST_PANICS: usize = 5;
+const PANICS_WITHIN: Duration = Duration::from_secs(60);
+/// Pause before the next life.
+const PAUSE: Duration = Duration::from_millis(200);
+
+/// Runs the lives of one service of one structure: a panic ends one, and the next goes on from what the service remembers. All
+/// other structures and services are not touched.
+///
+/// # Errors
+/// What a life fails with, or too many panics.
+pub async fn supervise<First, Next, Life>(
+    service: &'static str,
+    structure: String,
+    first: First,
+    mut next: Next,
+) -> Result<(), AppError>
+where
+    First: Future<Output = Result<(), AppError>> + Send + 'static,
+    Next: FnMut() -> Life,
+    Life: Future<Output = Result<(), AppError>> + Send + 'static,
+{
+    let mut life = tokio::spawn(first);
+    let mut panics = VecDeque::new();
+    loop {
+        let source = match life.await {
+            Ok(result) => return result,
+            Err(source) => source,
+        };
+        let now = Instant::now();
+        panics.push_back(now);
+        while panics.front().is_some_and(|earlier| now.duration_since(*earlier) > PANICS_WITHIN) {
+            panics.pop_front();
+        }
+        if source.is_cancelled() || panics.len() >= MOST_PANICS {
+            return Err(AppError::Panicked { service, source });
+        }
+        error!(service, structure, "panicked: it is started anew from what it remembers");
+        tokio::time::sleep(PAUSE).await;
+        life = tokio::spawn(next());
+    }
+}
+
+/// SIGHUP, which asks to read the configuration again.
+pub struct Hangups(Option<Signal>);
+
+impl Hangups {
+    /// Listens from now on.
+    pub fn new() -> Self {
+        match signal(SignalKind::hangup()) {
+            Ok(signal) => Self(Some(signal)),
+            Err(error) => {
+                warn!(%error, "SIGHUP cannot be heard");
+                Self(None)
+            }
+        }
+    }
+
+    /// Waits until what is read after a SIGHUP is right; what is wrong is told, and changes nothing.
+    pub async fn read<T>(&mut self, read: impl Fn() -> Result<T, AppError>) -> T {
+        loop {
+            let asked = match &mut self.0 {
+                Some(signal) => signal.recv().await.is_some(),
+                None => false,
+            };
+            if !asked {
+                std::future::pending::<()>().await;
+            }
+            match read() {
+                Ok(read) => {
+                    info!("configuration and structure files are read again: services begin anew");
+                    return read;
+                }
+                Err(error) => error!("configuration not read again, nothing changes: {}", error.report()),
+            }
+        }
+    }
+}
+
+/// Tells systemd, where it asks, what the process is doing.
+pub fn tell_systemd(state: NotifyState<'_>) {
+    if let Err(error) = sd_notify::notify(&[state]) {
+        debug!(%error, "systemd cannot be told");
+    }
+}
+
+/// Tells systemd's watchdog, where there is one, that the process works: twice in its time, as long as the runtime and the
+/// threads of the filters do. Never ends.
+pub async fn feed_watchdog<T>(pool: Option<FilterPool>) -> T {
+    let Some(within) = sd_notify::watchdog_enabled() else {
+        return std::future::pending().await;
+    };
+    let mut feed = tokio::time::interval(within / 2);
+    loop {
+        feed.tick().await;
+        let works = match &pool {
+            Some(pool) => tokio::time::timeout(within / 2, pool.responds()).await.unwrap_or(false),
+            None => true,
+        };
+        match works {
+            true => tell_systemd(NotifyState::Watchdog),
+            false => warn!("the threads of the filters do not answer"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    async fn panics_before(lives: u32, counted: Arc<AtomicU32>) -> Result<(), AppError> {
+        let life = counted.fetch_add(1, Ordering::Relaxed);
+        assert!(life >= lives, "as it should");
+        Ok(())
+    }
+
+    #[tokio::test]
+    async fn a_service_that_panics_lives_again_and_one_that_keeps_panicking_ends_the_process() {
+        let counted = Arc::new(AtomicU32::new(0));
+        let life = |lives| {
+            let counted = counted.clone();
+            move || panics_before(lives, counted.clone())
+        };
+        supervise("alert", "tower".to_owned(), life(2)(), life(2)).await.unwrap();
+        assert_eq!(counted.swap(0, Ordering::Relaxed), 3);
+        let error = supervise("alert", "tower".to_owned(), life(99)(), life(99)).await.unwrap_err();
+        assert!(matches!(error, AppError::Panicked { service: "alert", .. }));
+        assert_eq!(counted.load(Ordering::Relaxed) as usize, MOST_PANICS);
+    }
+
+    #[tokio::test]
+    async fn an_error_ends_a_service_at_once() {
+        let fails = || async { Err(AppError::NoStructure) };
+        let error = supervise("alert", "tower".to_owned(), fails(), fails).await.unwrap_err();
+        assert!(matches!(error, AppError::NoStructure));
+    }
+}

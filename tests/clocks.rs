@@ -1,0 +1,222 @@
+//! Clocks that are wrong: of one node, of all of them, of the machine that aligns their samples. What is identified is compared, to
+//! the bit, with the record that says what the clocks have made of it.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+mod support;
+
+use spandrel_bus::{Bus, Keys, SampleBlock, Service};
+use spandrel_record::{FrameLog, LogLayout, LogSettings, LoggedFrames};
+use std::collections::BTreeMap;
+use support::{Drops, EstimateReader, Process, Record, Sensors, Site, assert_same_bits, two_storeys, within};
+
+const ROWS: usize = 800;
+/// The row at which clocks are set.
+const SET: usize = 400;
+/// Rows of a second.
+const SECOND: usize = 100;
+const SECOND_NS: i64 = 1_000_000_000;
+/// 2100-01-01, ns since 1970: far ahead of the clock of this machine.
+const IN_2100_NS: i64 = 4_102_444_800 * SECOND_NS;
+const NODES: [&str; 3] = ["ground", "floor-1", "roof"];
+
+/// Services that run, and sound sensors.
+struct Running {
+    site: Site,
+    services: Process,
+    bus: Bus,
+    keys: Keys,
+    drops: Drops,
+    reader: EstimateReader,
+    sensors: Sensors,
+}
+
+impl Running {
+    async fn start(change: impl Fn(&mut Record)) -> Self {
+        let site = Site::with(&two_storeys(""));
+        let mut record = site.simulate(ROWS as f64 / SECOND as f64);
+        change(&mut record);
+        record.save_as("changed.csv");
+        let services = site.run();
+        let (bus, keys) = (site.join().await, site.keys());
+        site.wait_for_services(&bus).await;
+        let drops = Drops::watch(&bus, &keys).await;
+        let reader = EstimateReader::join(&bus, &keys).await;
+        let sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
+        Self { site, services, bus, keys, drops, reader, sensors }
+    }
+
+    /// Puts the record; from [`SET`] on the clocks of some nodes are off by so many seconds.
+    async fn put(&mut self, off: &[&str], seconds: i64) {
+        self.sensors.put(0..SET).await;
+        // a node whose clock goes back takes back what still waits for the others
+        self.reader.read_frames(SET).await;
+        for second in SET / SECOND..ROWS / SECOND {
+            let rows = SECOND * second..SECOND * (second + 1);
+            for node in off {
+                let change = |block: &mut SampleBlock| block.header.time_ns += seconds * SECOND_NS;
+                self.sensors.put_changed(node, rows.clone(), change).await;
+            }
+            self.sensors.put_all_but(off, rows).await;
+        }
+    }
+
+    /// Compares what is identified with the first frames of what `spandrel estimate` finds in a record.
+    async fn assert_as_in(&mut self, what: &str, equivalent: &mut Record, frames: usize) {
+        let expected = self.site.estimate(equivalent.save_as("equivalent.csv"));
+        let found = self.reader.read_frames(frames).await;
+        assert_same_bits(what, &expected.parameters, &expected.frames[..frames], &found[..frames]);
+    }
+
+    async fn counted(&self, reason: &str, least: u64) -> BTreeMap<String, u64> {
+        self.drops.expect(Service::Ingest, reason, least).await
+    }
+
+    async fn end(self) {
+        let mut decided = self.bus.watch_progress(self.keys.progress(Service::Alert)).await.unwrap();
+        within("decisions", decided.wait_for(|progress| progress.done > 0)).await;
+        self.services.stop().expect_code(0).expect_told(&[]);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_whose_clock_steps_forth_is_missing_for_as_long_and_believed_from_then_on() {
+    let mut running = Running::start(|_| {}).await;
+    running.put(&["floor-1"], 1).await;
+    let mut equivalent = running.sensors.record().clone();
+    equivalent.shift("floor-1", SET, SECOND as isize);
+    running.assert_as_in("a second forth", &mut equivalent, ROWS).await;
+    let drops = running.counted("missing-samples", SECOND as u64).await;
+    assert_eq!(drops["missing-samples"], SECOND as u64, "{drops:?}");
+    running.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_whose_clock_steps_back_is_late_for_as_long_and_believed_from_then_on() {
+    let mut running = Running::start(|_| {}).await;
+    running.put(&["floor-1"], -1).await;
+    let mut equivalent = running.sensors.record().clone();
+    // the last second waits for a node that is a second behind
+    let whole = ROWS - SECOND;
+    for row in SET..whole {
+        let later = running.sensors.record().value(row + SECOND, "floor-1");
+        equivalent.change("floor-1", row..row + 1, |_, _| later);
+    }
+    running.assert_as_in("a second back", &mut equivalent, whole).await;
+    let drops = running.counted("late-samples", SECOND as u64 - 1).await;
+    // the last sample of the second is one too many for the frame that was closed last
+    assert_eq!((drops["late-samples"], drops["duplicate-samples"]), (SECOND as u64 - 1, 1), "{drops:?}");
+    running.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_leap_second_that_is_repeated_is_late_and_nothing_comes_twice() {
+    let mut running = Running::start(|_| {}).await;
+    running.put(&NODES, -1).await;
+    let mut equivalent = running.sensors.record().clone();
+    equivalent.cut(SET..SET + SECOND).delay_from(SET, -1.0);
+    running.assert_as_in("a repeated second", &mut equivalent, ROWS - SECOND).await;
+    let lost = NODES.len() as u64;
+    let drops = running.counted("late-samples", lost * (SECOND as u64 - 1)).await;
+    assert_eq!(drops["late-samples"] + drops["duplicate-samples"], lost * SECOND as u64, "{drops:?}");
+    running.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_second_that_is_left_out_is_a_gap_of_a_second() {
+    let mut running = Running::start(|_| {}).await;
+    running.put(&NODES, 1).await;
+    let mut equivalent = running.sensors.record().clone();
+    equivalent.delay_from(SET, 1.0);
+    running.assert_as_in("a second left out", &mut equivalent, ROWS + SECOND).await;
+    let drops = running.counted("missing-samples", 3 * SECOND as u64).await;
+    assert_eq!(drops["missing-samples"], 3 * SECOND as u64, "{drops:?}");
+    running.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn times_before_1970_and_across_it_are_times_like_others() {
+    let mut running = Running::start(|record| {
+        record.delay_from(0, -4.0);
+    })
+    .await;
+    assert!(running.sensors.record().time_ns(0) < 0);
+    running.put(&[], 0).await;
+    let mut equivalent = running.sensors.record().clone();
+    running.assert_as_in("across 1970", &mut equivalent, ROWS).await;
+    let (first, last) = (running.reader.read_frames(ROWS).await[0].time_ns, 3_990_000_000);
+    assert_eq!((first, running.reader.read_frames(ROWS).await[ROWS - 1].time_ns), (-4 * SECOND_NS, last));
+    running.end().await;
+}
+
+// Whether it is the clock of the sensors that is ahead, or that of this machine that is behind, nobody can tell.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_machine_whose_clock_is_decades_behind_its_sensors_identifies_the_same() {
+    let mut running = Running::start(|_| {}).await;
+    for node in NODES {
+        running.sensors.put_changed(node, 0..ROWS, |block| block.header.time_ns += IN_2100_NS).await;
+    }
+    let mut equivalent = running.sensors.record().clone();
+    let mut expected = running.site.estimate(equivalent.save_as("equivalent.csv"));
+    expected.frames.iter_mut().for_each(|frame| frame.time_ns += IN_2100_NS);
+    let found = running.reader.read_frames(ROWS).await;
+    assert_same_bits("sensors of 2100", &expected.parameters, &expected.frames, found);
+    let status = running.drops.when_done(Service::Ingest, ROWS as u64).await;
+    assert!(status.drops.is_empty(), "{:?}", status.drops);
+    assert!(status.lag_s.unwrap() < -1e9, "lag {:?} s", status.lag_s);
+    running.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn clocks_of_all_nodes_set_back_by_a_day_begin_new_frames() {
+    let mut running = Running::start(|_| {}).await;
+    running.put(&NODES, -86_400).await;
+    let found = running.reader.read_frames(ROWS).await;
+    let times = (found[SET - 1].time_ns, found[SET].time_ns);
+    assert_eq!(
+        times,
+        (3_990_000_000, 4 * SECOND_NS - 86_400 * SECOND_NS),
+        "the last frame before, the first one after"
+    );
+    let status = running.drops.when_done(Service::Ingest, ROWS as u64 / 2).await;
+    assert!(!status.drops.contains_key("late-samples"), "{:?}", status.drops);
+    running.end().await;
+}
+
+// An epoch is the wall clock at a start; it has to be higher at each start nevertheless.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_ingest_whose_clock_was_set_back_since_its_last_life_is_believed() {
+    const LATER: u64 = 1 << 62; // 2116
+    let site = Site::with(&two_storeys(""));
+    let record = site.simulate(4.0);
+    let state = site.folder().join("state");
+    let folder = state.join("spandrel").join(site.keys().root().as_str()).join("house/recording");
+    let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+    let layout = LogLayout {
+        structure: "house".to_owned(),
+        channels: names(&["ground", "floor-1", "roof", "roof-velocity"]),
+        nodes: names(&NODES),
+        sampling_rate_hz: 100.0,
+    };
+    let last = LoggedFrames {
+        source: "ingest".to_owned(),
+        epoch: LATER,
+        sequence: 0,
+        t0_ns: 0,
+        sampling_rate_hz: 100.0,
+        channels: 4,
+        values: vec![0.0; 40],
+        ended: true,
+        nodes: Vec::new(),
+    };
+    let (mut log, _) = FrameLog::open(&folder, layout, LogSettings::default()).unwrap();
+    log.append(&[last]).unwrap();
+    log.close().unwrap();
+    let services = Process::start(site.listening("run").args(["--http", "none"]).env("XDG_STATE_HOME", &state));
+    services.wait_for_log("ready structures=1");
+    site.replay(&record, "max").wait().expect_code(0);
+    services.stop().expect_code(0);
+    let newest = std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let newest = newest.filter(|name| name.starts_with("frames-")).max().unwrap();
+    assert!(newest > format!("frames-{LATER:020}-{:020}.mcap", 0), "{newest}");
+}

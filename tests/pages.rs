@@ -1,0 +1,57 @@
+//! The book, followed as a new user would: every command of its tutorials as printed, from an empty folder.
+//!
+//! Records are not part of the repository. They stand in `shared/data` beside it; without that folder these tests say so and pass.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+#[path = "support/page.rs"]
+mod page;
+mod support;
+
+use page::{Page, here, root};
+use std::path::PathBuf;
+use support::Lab;
+
+fn records(folder: &str) -> Option<PathBuf> {
+    let records = root().join("../shared/data").join(folder);
+    if records.is_dir() {
+        return Some(records);
+    }
+    println!("skipped: no records in {}", records.display());
+    None
+}
+
+/// In a network of its own, because the page says which ports the services listen on.
+#[test]
+fn ten_minutes_go_as_the_page_says() {
+    let Some(lab) = Lab::or_skip(&["desk"], 1) else { return };
+    assert_eq!(Page::open("start.md").follow(|| lab.inside("desk")), 9);
+}
+
+#[test]
+fn laboratory_frame_goes_as_the_page_says() {
+    let Some(records) = records("mini-shake-table") else { return };
+    let page = Page::open("laboratory-frame.md");
+    for sensor in ["ground", "floor1", "floor2", "floor3"] {
+        let packed = records.join(format!("raw/stiff-northridge-{sensor}.csv.gz"));
+        page.have_unpacked(&packed, &format!("stiff-northridge/{sensor}.csv"));
+    }
+    for state in ["stiff", "flexible"] {
+        page.have(&root().join(format!("docs/examples/shake-table-{state}.toml")));
+        for motion in ["sine1.0", "sine2.0", "northridge"] {
+            page.have(&records.join(format!("aligned/{state}-{motion}.csv")));
+        }
+    }
+    assert_eq!(page.follow(here), 8);
+}
+
+#[test]
+fn highway_bridge_goes_as_the_page_says() {
+    let Some(records) = records("painter-street-bridge") else { return };
+    let page = Page::open("highway-bridge.md");
+    for event in ["RioDell_14Sep2012_71842255", "ferndale_28jan2015_72387946", "nc73821036", "nc73821636", "nc73943821"]
+    {
+        page.have(&records.join(format!("{event}_ce89324p.zip")));
+    }
+    assert_eq!(page.follow(here), 10);
+}

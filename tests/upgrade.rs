@@ -1,0 +1,260 @@
+//! What earlier versions have left on disk: checkpoints, a recording and a history, kept under fixtures/kept, one folder for each
+//! version, are read by this one, and the services go on from them.
+//!
+//! `cargo test --workspace --test upgrade -- --ignored` adds the folder of this version, with a release.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+mod support;
+
+use serde_json::Value;
+use spandrel_bus::{AlertMessage, AlertState, Bus, HistoryLog, HistorySpan, Name, Service, Start, StreamSettings};
+use spandrel_checkpoint::{Checkpoints, Identity, Place};
+use std::path::{Path, PathBuf};
+use support::{DEADLINE, EstimateReader, Identified, Process, Record, Sensors, Site, put_raw, two_storeys, within};
+
+/// First chunk of all keys: recording and history name it.
+const ROOT: &str = "kept";
+/// Rows that the earlier version has seen, and rows of the record.
+const SEEN: usize = 800;
+const ROWS: usize = 1200;
+/// Storey 2 has lost 30 % from the start.
+const RULES: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.95\nsustain-s = 0.5\n\
+                     [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 0\nloss = 0.30\n";
+/// Deviation of an estimate that other processors may round to (ratio of a stiffness; the estimates have some 0.01).
+const ROUNDED: f64 = 1e-6;
+
+fn fixtures() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/kept")
+}
+
+/// The folders of earlier versions, and of this one.
+fn versions() -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(fixtures()).unwrap().map(|entry| entry.unwrap().path());
+    let mut folders: Vec<PathBuf> = entries.filter(|path| path.is_dir()).collect();
+    folders.sort();
+    folders
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        let target = to.join(path.file_name().unwrap());
+        match path.is_dir() {
+            true => copy(&path, &target),
+            false => drop(std::fs::copy(&path, &target).unwrap()),
+        }
+    }
+}
+
+/// What one version has left, in a folder that may be written to.
+struct Kept {
+    site: Site,
+    state: PathBuf,
+    record: Record,
+    known: Value,
+}
+
+impl Kept {
+    fn of(version: &Path) -> Self {
+        let site = Site::of(&version.join("structure.toml")).rooted(ROOT);
+        let state = site.folder().join("state");
+        copy(&version.join("state"), &state);
+        let record = Record::read(&version.join("record.csv"));
+        let known = serde_json::from_str(&std::fs::read_to_string(version.join("known.json")).unwrap()).unwrap();
+        Self { site, state, record, known }
+    }
+
+    fn checkpoints(&self) -> PathBuf {
+        self.state.join("spandrel").join(ROOT).join("house/checkpoints")
+    }
+
+    /// The epoch of its frames, by the name of a checkpoint.
+    fn epoch(&self) -> u64 {
+        let entries = std::fs::read_dir(self.checkpoints()).unwrap();
+        let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        let name = names.filter(|name| name.starts_with("identify-")).last().unwrap();
+        name.split('-').nth(1).unwrap().parse().unwrap()
+    }
+
+    fn recording(&self) -> PathBuf {
+        self.state.join("spandrel").join(ROOT).join("house/recording")
+    }
+
+    fn run(&self) -> Process {
+        run(&self.site, &self.state)
+    }
+}
+
+fn run(site: &Site, state: &Path) -> Process {
+    let mut command = site.listening("run");
+    let services = Process::start(command.args(["--http", "none"]).env("XDG_STATE_HOME", state));
+    services.wait_for_log("ready structures=1");
+    services
+}
+
+/// How the alert of storey 2 stands.
+async fn alert_of_storey_2(bus: &Bus, site: &Site) -> AlertMessage {
+    let key = site.keys().alert(&Name::new("storey-2").unwrap());
+    within("the alert of storey 2", async {
+        loop {
+            if let Some((_, alert)) = bus.ask::<AlertMessage>(&key, DEADLINE).await.unwrap().pop() {
+                return alert;
+            }
+        }
+    })
+    .await
+}
+
+/// All displayed values of storey 2, once the last of them is at `until_s`.
+async fn history_of_storey_2(bus: &Bus, site: &Site, until_s: f64) -> HistorySpan {
+    let key = format!("{}?points=20000", site.keys().history(&Name::new("storey-2").unwrap()));
+    within("the history of storey 2", async {
+        loop {
+            let answers = bus.ask::<HistorySpan>(&key, DEADLINE).await.unwrap();
+            let is_there = |span: &HistorySpan| span.rows.time_s.last().is_some_and(|last| *last >= until_s);
+            if let Some((_, span)) = answers.into_iter().find(|(_, span)| is_there(span)) {
+                return span;
+            }
+            tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+        }
+    })
+    .await
+}
+
+/// The largest difference of means and standard deviations.
+fn difference(expected: &[Identified], found: &[Identified]) -> f64 {
+    assert_eq!(expected.len(), found.len(), "frames");
+    let of = |(a, b): (&Identified, &Identified)| {
+        assert_eq!(a.time_ns, b.time_ns);
+        let pairs = a.mean_and_std.iter().zip(&b.mean_and_std).map(|(a, b)| (a.0 - b.0).abs().max((a.1 - b.1).abs()));
+        pairs.fold(0.0, f64::max)
+    };
+    expected.iter().zip(found).map(of).fold(0.0, f64::max)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn services_go_on_from_what_each_version_has_left() {
+    for version in versions() {
+        println!("{}", version.display());
+        let kept = Kept::of(&version);
+        let expected = kept.site.estimate(kept.record.clone().save_as_copy(kept.site.folder()));
+        let services = kept.run();
+        let log = services.log();
+        for told in
+            ["spandrel_identify::memory: goes on", "spandrel_alert::memory: goes on", "goes on where its recording"]
+        {
+            assert!(log.contains(told), "expected {told}, found:\n{log}");
+        }
+        assert!(log.contains(&format!("frame={SEEN}")), "{log}");
+        let (bus, keys) = (kept.site.join().await, kept.site.keys());
+
+        // the alert: who has acknowledged it, and since when
+        let alert = alert_of_storey_2(&bus, &kept.site).await;
+        assert_eq!(serde_json::to_value(&alert).unwrap(), kept.known["alert"], "alert");
+        // the history: what was displayed, and what happened
+        let span = history_of_storey_2(&bus, &kept.site, 7.0).await;
+        assert_eq!(serde_json::to_value(&span).unwrap(), kept.known["history"], "history");
+        let log = bus.ask::<HistoryLog>(&keys.history_log(), DEADLINE).await.unwrap();
+        assert!(log[0].1.acknowledgements.iter().any(|seen| seen.who == "Ada"), "{log:?}");
+
+        // the identification: the rest of the record on top of what was learnt
+        let start = Start::At { epoch: kept.epoch(), sequence: SEEN as u64 };
+        let mut reader = EstimateReader::with_settings(&bus, &keys, StreamSettings::new(start)).await;
+        let mut sensors = Sensors::start(&bus, &keys, kept.site.structure(), &kept.record).await;
+        sensors.put(0..SEEN).await;
+        sensors.put(SEEN..ROWS).await;
+        let found = reader.read_frames(ROWS - SEEN).await;
+        let off = difference(&expected.frames[SEEN..], found);
+        assert!(off < ROUNDED, "the rest of the record is identified with a difference of {off}");
+        services.stop().expect_code(0);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_recording_of_each_version_holds_what_was_measured() {
+    for version in versions() {
+        let kept = Kept::of(&version);
+        let copied = kept.site.folder().join("frames.csv");
+        let mut convert = support::spandrel("convert");
+        Process::start(convert.arg(kept.recording()).arg(&copied)).wait().expect_code(0);
+        let found = Record::read(&copied);
+        assert_eq!(found.len(), SEEN, "frames");
+        for channel in kept.record.channels() {
+            let name = found.channels().iter().find(|name| name.starts_with(channel.as_str())).unwrap();
+            for row in 0..SEEN {
+                let (expected, found) = (kept.record.value(row, channel), found.value(row, name));
+                assert_eq!(expected.to_bits(), found.to_bits(), "{channel}, frame {row}");
+            }
+        }
+    }
+}
+
+// A rollback: what a later version has written is not misread, and not lost either.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_checkpoint_of_a_later_version_is_set_aside_and_the_recording_read_again() {
+    let kept = Kept::of(versions().last().unwrap());
+    let expected = kept.site.estimate(kept.record.clone().save_as_copy(kept.site.folder()));
+    for entry in std::fs::read_dir(kept.checkpoints()).unwrap() {
+        std::fs::remove_file(entry.unwrap().path()).unwrap();
+    }
+    for kind in ["identify", "alert"] {
+        let identity = Identity { kind, version: 1_000, of: "house".to_owned(), basis: String::new() };
+        let place = Place { epoch: 1, sequence: 1 };
+        Checkpoints::open(&kept.checkpoints(), identity).unwrap().save(place, &"later".to_owned()).unwrap();
+    }
+    let services = kept.run();
+    let log = services.log();
+    for kind in ["identify", "alert"] {
+        let name = format!("{kind}-{:020}-{:020}.checkpoint.refused", 1, 1);
+        let line = log.lines().find(|line| line.contains(&name)).unwrap_or_else(|| panic!("{name} in\n{log}"));
+        assert!(line.contains("it has version 1000 of its layout, this program reads "), "{line}");
+        assert!(kept.checkpoints().join(name).is_file());
+    }
+    let (bus, keys) = (kept.site.join().await, kept.site.keys());
+    let mut reader = EstimateReader::join(&bus, &keys).await;
+    let found = reader.read_frames(SEEN).await;
+    let off = difference(&expected.frames[..SEEN], found);
+    assert!(off < ROUNDED, "the recording is identified with a difference of {off}");
+    let mut decided = bus.watch_progress(keys.progress(Service::Alert)).await.unwrap();
+    within("decision on all frames", decided.wait_for(|progress| progress.done >= SEEN as u64)).await;
+    assert_ne!(alert_of_storey_2(&bus, &kept.site).await.state, AlertState::Normal);
+    services.stop().expect_code(0);
+}
+
+/// The state of this version, for those that come.
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "adds a folder to tests/fixtures/kept, once for each release"]
+async fn write_what_this_version_leaves() {
+    let folder = fixtures().join(env!("CARGO_PKG_VERSION"));
+    assert!(!folder.exists(), "{} is there already, and must stay as it was written", folder.display());
+    let site = Site::with(&two_storeys(RULES)).rooted(ROOT);
+    let record = site.simulate(ROWS as f64 / 100.0).rounded(5);
+    let state = site.folder().join("state");
+    let services = run(&site, &state);
+    let (bus, keys) = (site.join().await, site.keys());
+    site.wait_for_services(&bus).await;
+    let mut decided = bus.watch_progress(keys.progress(Service::Alert)).await.unwrap();
+    let alerts = bus.subscribe::<AlertMessage>(keys.all_alerts(), 256).await.unwrap();
+    let mut sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
+    for block in 0..SEEN / 100 {
+        sensors.put(100 * block..100 * (block + 1)).await;
+    }
+    within("decision on all frames", decided.wait_for(|progress| progress.done >= SEEN as u64)).await;
+    let json =
+        br#"{"structure": "house", "parameter": "storey-2", "time_ns": 8000000000, "who": "Ada", "note": "seen"}"#;
+    put_raw(&bus, &keys.acknowledge(&Name::new("storey-2").unwrap()), "application/json", json.to_vec()).await;
+    within("an acknowledged alert", async {
+        while alerts.messages().recv_async().await.unwrap().1.state != AlertState::Acknowledged {}
+    })
+    .await;
+    let span = history_of_storey_2(&bus, &site, 7.0).await;
+    let known = serde_json::json!({"alert": alert_of_storey_2(&bus, &site).await, "history": span});
+    services.stop().expect_code(0);
+    std::fs::create_dir_all(&folder).unwrap();
+    std::fs::copy(site.structure_file(), folder.join("structure.toml")).unwrap();
+    std::fs::write(folder.join("known.json"), serde_json::to_string(&known).unwrap()).unwrap();
+    copy(&state, &folder.join("state"));
+    record.clone().save_as_copy(&folder);
+}
