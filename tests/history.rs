@@ -4,7 +4,7 @@
 
 mod support;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 use spandrel_bus::{AlertState, Bus, HistoryLog, HistorySpan, Name, Service};
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -112,8 +112,12 @@ async fn what_was_is_still_there_when_all_has_been_started_anew() {
     let last = mean.as_array().unwrap().last().unwrap().as_f64().unwrap();
     assert!((last - before.rows.mean.last().unwrap()).abs() < 0.02, "{last}");
     assert!(shown["kept_from_s"].as_f64().unwrap() < 10.0);
-    let alerts = get(&address, "/api/alerts?state=raised");
-    assert!(!alerts["changes"].as_array().unwrap().is_empty(), "{alerts}");
+    within("the page has learnt of the alerts", async {
+        while tokio::task::block_in_place(|| get(&address, "/api/alerts?state=raised"))["changes"] == json!([]) {
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        }
+    })
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -109,12 +109,10 @@ impl AlertService {
             acknowledgements,
             progress,
             status: bus.publish_display(keys.status(Service::Alert, &id)).await?,
-            token: Some(bus.announce(keys.live(Service::Alert, &id)).await?),
             basis,
             watch,
             alerts,
             service: service_name,
-            id,
             done,
             last_time_ns,
             refused: BTreeMap::new(),
@@ -122,6 +120,9 @@ impl AlertService {
             unsent,
             log,
             questions: bus.questions(keys.alert_log(), QUESTIONS_WAITING).await?,
+            // Last, because others ask when they see it: who answers is there by then.
+            token: Some(bus.announce(keys.live(Service::Alert, &id)).await?),
+            id,
             keys,
         };
         info!(

@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use spandrel_bus::AlertState;
 
-use crate::{Alert, LossEstimate, Rule, Subject};
+use crate::{Alert, LossEstimate, ReferenceRule, Rule, Subject};
 
 /// The decision in words; `alert.why` is not read.
 pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert) -> String {
@@ -59,19 +59,19 @@ pub(crate) enum End {
 /// The end of an alert in words.
 pub(crate) fn describe_end(subject: &Subject, end: &End) -> String {
     let name = &subject.name;
-    let asked = |rule: &Rule| {
-        let (loss, credibility) = (percent(rule.loss()), probability(rule.credibility()));
-        format!("more than {loss} with probability {credibility} for {}", duration(rule.sustain_ns()))
-    };
     let why = match end {
         End::NoSuchParameter => "the structure file has no such parameter any more".to_owned(),
         End::Unwatched => "no rule of the structure file watches it any more".to_owned(),
-        End::RuleChanged { from, to, probability: found } => format!(
-            "its rule was changed from {} to {}, and the last estimate gives that loss probability {}",
-            asked(from),
-            asked(to),
-            probability(*found)
-        ),
+        End::RuleChanged { from, to, probability: found } => {
+            let is_counted_anew = from.reference() != to.reference();
+            let asked = |rule: &Rule| {
+                let counted = if is_counted_anew { counted_from(rule.reference()) } else { String::new() };
+                let (loss, credibility) = (percent(rule.loss()), probability(rule.credibility()));
+                format!("more than {loss}{counted} with probability {credibility} for {}", duration(rule.sustain_ns()))
+            };
+            let (from, to, found) = (asked(from), asked(to), probability(*found));
+            format!("its rule was changed from {from} to {to}, and the last estimate gives that loss probability {found}")
+        }
         End::RuleAndModelChanged => {
             "its rule and the model of the structure file were changed, and identification begins anew".to_owned()
         }
@@ -80,6 +80,15 @@ pub(crate) fn describe_end(subject: &Subject, end: &End) -> String {
         }
     };
     format!("alert of {name} has ended: {why}")
+}
+
+/// What a loss counts from, to go behind it.
+fn counted_from(reference: ReferenceRule) -> String {
+    match reference {
+        ReferenceRule::Given(given) if given.std() == 0.0 => format!(" below {:.3}", given.mean()),
+        ReferenceRule::Given(given) => format!(" below {:.3} ± {:.3}", given.mean(), given.std()),
+        ReferenceRule::Learnt { span_ns } => format!(" below what is learnt in {}", duration(span_ns)),
+    }
 }
 
 /// Longest part of a name or note that is repeated in the words, in characters.

@@ -19,6 +19,11 @@ use crate::session::Bus;
 /// Answers to one query that are kept: more parameters than any structure has.
 const MOST_ANSWERS: usize = 16_384;
 
+/// Before a service that is there, and did not answer, is asked again; each pause is twice the one before.
+const FIRST_PAUSE: Duration = Duration::from_millis(250);
+/// After this pause it is asked once more and no more.
+const LAST_PAUSE: Duration = Duration::from_secs(4);
+
 /// Messages of one kind, with the keys they were put on; when the queue is full, the oldest is overwritten.
 #[derive(Debug)]
 pub struct Subscription<M> {
@@ -109,6 +114,27 @@ impl Bus {
             .await
             .map_err(|source| BusError::Declare { key: key_expression, source })?;
         Ok(Subscription { messages, refused, _subscriber: subscriber })
+    }
+
+    /// Asks a service that is there by its liveliness token, and again while nobody answers: the way to those who answer may be known
+    /// a moment later than the token, and whoever asks once would never learn what they know.
+    ///
+    /// # Errors
+    /// As [`Bus::ask`].
+    pub async fn ask_present<M: Message>(
+        &self,
+        key_expression: &str,
+        timeout: Duration,
+    ) -> Result<Vec<(String, M)>, BusError> {
+        let mut pause = FIRST_PAUSE;
+        loop {
+            let found = self.ask(key_expression, timeout).await?;
+            if !found.is_empty() || pause > LAST_PAUSE {
+                return Ok(found);
+            }
+            tokio::time::sleep(pause).await;
+            pause *= 2;
+        }
     }
 
     /// Asks for the last values of topics that answer queries; what is no such message is left out.

@@ -85,7 +85,7 @@ impl Listening {
     fn ask_past(&mut self) {
         let log = format!("{}?{}", self.keys.history_log(), SpanQuery { points: PAST, ..SpanQuery::default() });
         let bus = self.bus.clone();
-        self.past.spawn(async move { bus.ask(&log, ANSWER_WITHIN).await });
+        self.past.spawn(async move { bus.ask_present(&log, ANSWER_WITHIN).await });
     }
 
     /// Adds what has come since the last time; what is on a key that says otherwise is left out.

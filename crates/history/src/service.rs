@@ -138,6 +138,8 @@ impl HistoryService {
     }
 
     async fn listen(&mut self, structure: &Structure, keys: &Keys, bus: &Bus) -> Result<(), HistoryError> {
+        let spans = bus.questions(keys.all_history(), QUESTIONS_WAITING).await?;
+        let log = bus.questions(keys.history_log(), QUESTIONS_WAITING).await?;
         let source = Source {
             collector: Collector::new(structure, keys.root().as_str()),
             parameters: bus.subscribe(keys.all_parameters(), VALUES_WAITING).await?,
@@ -149,12 +151,11 @@ impl HistoryService {
             acknowledgements: bus.subscribe(keys.all_acknowledgements(), ALERTS_WAITING).await?,
             events: bus.subscribe(keys.event(), ALERTS_WAITING).await?,
             status: bus.publish_display(keys.status(Service::History, &self.id)).await?,
+            // Last, because dashboards ask when they see it: who answers is there by then.
             token: bus.announce(keys.live(Service::History, &self.id)).await?,
             keys: keys.clone(),
             taken: 0,
         };
-        let spans = bus.questions(keys.all_history(), QUESTIONS_WAITING).await?;
-        let log = bus.questions(keys.history_log(), QUESTIONS_WAITING).await?;
         let named = source.collector.named().clone();
         self.answering.spawn(answer_spans(spans, self.database.clone(), keys.clone(), named));
         self.answering.spawn(answer_log(log, self.database.clone(), keys.clone()));
@@ -394,7 +395,7 @@ async fn forget_old(database: Database, newest: Vec<(String, i64)>, keep: Keep) 
 async fn ask_for_alerts(bus: Bus, keys: Keys, mut tokens: LiveWatch, out: flume::Sender<AlertMessage>) {
     loop {
         if !tokens.changed().await.is_empty() {
-            match bus.ask::<HistoryLog>(&keys.alert_log(), ANSWER_WITHIN).await {
+            match bus.ask_present::<HistoryLog>(&keys.alert_log(), ANSWER_WITHIN).await {
                 Ok(answers) => {
                     let logs = answers.into_iter().map(|(_, log)| log);
                     for alert in logs.filter(|log| log.structure == *keys.structure()).flat_map(|log| log.alerts) {

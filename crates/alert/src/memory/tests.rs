@@ -107,6 +107,22 @@ fn an_alert_that_the_changed_rule_does_not_raise_ends_with_a_reason() {
 }
 
 #[test]
+fn an_alert_that_ends_by_a_new_baseline_says_what_the_loss_counts_from() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("baseline.json");
+    let text = r#"{"format":"spandrel.baseline.v1","structure":"tower","records":1,"parameters":
+        [{"name":"storey-1","mean":1.0,"std":0.01},{"name":"storey-2","mean":0.87,"std":0.02}]}"#;
+    std::fs::write(&path, text).unwrap();
+    let baseline = Baseline::read(&path).unwrap();
+    let new = AlertState::new(&structure(&tower(RULE)), Some(&baseline)).unwrap();
+    let state = new.succeed(raised(&tower(RULE), false));
+    let why = "alert of storey-2 has ended: its rule was changed from more than 5 % below 1.000 with probability 0.950 \
+               for 0.5 s to more than 5 % below 0.870 ± 0.020 with probability 0.950 for 0.5 s, and the last estimate gives that \
+               loss probability 0.059";
+    assert_eq!(told(&state), [(Cleared, "storey-2", why)]);
+}
+
+#[test]
 fn an_alert_that_the_changed_rule_raises_too_stands_with_its_acknowledgement() {
     let mut state = new(&tower(&RULE.replace("0.05", "0.1"))).succeed(raised(&tower(RULE), true));
     assert_eq!((stands(&state), told(&state)), (Some((Seen, 0.1)), vec![]));
