@@ -2,7 +2,7 @@ use spandrel_bus::AlertState::{Acknowledged as Seen, Cleared, Learning, Normal, 
 use spandrel_bus::{Estimate, EstimateBlock, EstimateFlags, Header, Phase, StreamState};
 
 use super::*;
-use crate::Acknowledged;
+use crate::{Acknowledged, RecordSummary};
 
 const TOWER: &str = include_str!("../../tests/tower.toml");
 const RULE: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.95\nsustain-s = 0.5\n";
@@ -108,12 +108,8 @@ fn an_alert_that_the_changed_rule_does_not_raise_ends_with_a_reason() {
 
 #[test]
 fn an_alert_that_ends_by_a_new_baseline_says_what_the_loss_counts_from() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("baseline.json");
-    let text = r#"{"format":"spandrel.baseline.v1","structure":"tower","records":1,"parameters":
-        [{"name":"storey-1","mean":1.0,"std":0.01},{"name":"storey-2","mean":0.87,"std":0.02}]}"#;
-    std::fs::write(&path, text).unwrap();
-    let baseline = Baseline::read(&path).unwrap();
+    let record = RecordSummary::from_estimates([[(1.0, 0.01), (0.87, 0.02)]]).unwrap();
+    let baseline = Baseline::from_records("tower", &["storey-1", "storey-2"], &[record]).unwrap();
     let new = AlertState::new(&structure(&tower(RULE)), Some(&baseline)).unwrap();
     let state = new.succeed(raised(&tower(RULE), false));
     let why = "alert of storey-2 has ended: its rule was changed from more than 5 % below 1.000 with probability 0.950 \

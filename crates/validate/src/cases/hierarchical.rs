@@ -24,6 +24,8 @@ const AFTER_DAMAGE_S: f64 = 20.0;
 /// Local rates count from here on, after the training (s).
 const RATES_FROM_S: f64 = 10.0;
 const SPIKES: f64 = 0.01;
+/// Length of the spans in which regular samples that were rejected are shown (s).
+const SPAN_S: f64 = 10.0;
 /// Channels that are off by a constant, as a share of what they show: displacement of floor 10, acceleration of floor 20, both of 30.
 const BIASES: [(usize, f64); 4] = [(16, 0.20), (27, 0.15), (28, 0.10), (29, 0.10)];
 /// The nodes of those channels, with the published rates of detection.
@@ -81,6 +83,7 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let channels = scene.noise_std.len();
 
     let mut rates = vec![Rates::default(); channels];
+    let mut swamped_in = vec![vec![[0.0; 2]; (scene.time_s(scene.frames) / SPAN_S) as usize + 1]; channels];
     let data = |frame: usize, channel: usize| corrupted[frame * channels + channel];
     let fused = scene.network(&data).fuse((0.0, 0.7), run, |frame, first, filter| {
         let Some(screening) = filter.outliers().filter(|_| scene.time_s(frame) > TRAINING_S + RATES_FROM_S) else {
@@ -101,6 +104,7 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                 }
             } else {
                 count(&mut rates.swamped, rejected);
+                count(&mut swamped_in[channel_number][(scene.time_s(frame) / SPAN_S) as usize], rejected);
             }
         }
     })?;
@@ -221,6 +225,16 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         .published(0.0045),
     ]);
 
+    // of the channels that lose most, when they lose it
+    let mut worst: Vec<usize> = (0..channels).filter(|channel| healthy(&(channel / 2))).collect();
+    worst.sort_by(|a, b| share(rates[*b].swamped).total_cmp(&share(rates[*a].swamped)));
+    let swamping = worst.iter().take(3).map(|&channel| {
+        let spans = swamped_in[channel].iter().enumerate().filter(|(_, counts)| counts[1] > 0.0);
+        let points = spans.map(|(span, counts)| (((span as f64 + 0.5) * SPAN_S) as f32, share(*counts) as f32));
+        Series::new(scene.structure.channels().nth(channel).map_or("", |channel| channel.name()), SeriesKind::Points, points.collect())
+    });
+    let swamping = Plot::over_time("Share of regular samples rejected in 10 s, three channels", "–", swamping.collect());
+
     let percent = |value: f64| format!("{:.2}", 100.0 * value);
     let rows = nodes.iter().enumerate().map(|(node, of_node)| {
         let [displacement, acceleration] = [rates[2 * node], rates[2 * node + 1]];
@@ -242,7 +256,7 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             .to_vec(),
         rows: rows.collect(),
     };
-    let mut plots = Vec::new();
+    let mut plots = vec![swamping];
     for group in [0, 1] {
         let name = scene.structure.parameters()[group].name();
         for (what, course) in [
