@@ -2,7 +2,7 @@ use spandrel_bus::AlertState::{Acknowledged as Seen, Cleared, Learning, Normal, 
 use spandrel_bus::{Estimate, EstimateBlock, EstimateFlags, Header, Phase, StreamState};
 
 use super::*;
-use crate::{Acknowledged, RecordSummary};
+use crate::Acknowledged;
 
 const TOWER: &str = include_str!("../../tests/tower.toml");
 const RULE: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.95\nsustain-s = 0.5\n";
@@ -107,12 +107,10 @@ fn an_alert_that_the_changed_rule_does_not_raise_ends_with_a_reason() {
 }
 
 #[test]
-fn an_alert_that_ends_by_a_new_baseline_says_what_the_loss_counts_from() {
-    let record = RecordSummary::from_estimates([[(1.0, 0.01), (0.87, 0.02)]]).unwrap();
-    let baseline = Baseline::from_records("tower", &["storey-1", "storey-2"], &[record]).unwrap();
-    let new = AlertState::new(&structure(&tower(RULE)), Some(&baseline)).unwrap();
-    let state = new.succeed(raised(&tower(RULE), false));
-    let why = "alert of storey-2 has ended: its rule was changed from more than 5 % below 1.000 with probability 0.950 \
+fn an_alert_that_ends_by_another_reference_says_what_the_loss_counts_from() {
+    let counted_from = |mean, std| tower(&format!("{RULE}reference = {{ mean = {mean}, std = {std} }}\n"));
+    let state = new(&counted_from(0.87, 0.02)).succeed(raised(&counted_from(1.045, 0.046), false));
+    let why = "alert of storey-2 has ended: its rule was changed from more than 5 % below 1.045 ± 0.046 with probability 0.950 \
                for 0.5 s to more than 5 % below 0.870 ± 0.020 with probability 0.950 for 0.5 s, and the last estimate gives that \
                loss probability 0.059";
     assert_eq!(told(&state), [(Cleared, "storey-2", why)]);
