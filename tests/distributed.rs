@@ -62,6 +62,24 @@ async fn nodes_in_three_processes_and_a_station_give_the_numbers_of_a_record() {
     }
 }
 
+#[test]
+fn a_node_that_measures_nothing_but_the_excitation_takes_part() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
+    let text = std::fs::read_to_string(path).unwrap();
+    for motion in ["none", "modes", "samples"] {
+        let site = Site::with(&format!("{text}\n[fusion]\nmotion = \"{motion}\"\n").replacen(
+            "sampling-rate-hz",
+            "identification = \"distributed\"\nsampling-rate-hz",
+            1,
+        ));
+        let offline = site.estimate(&site.simulate(20.0));
+        assert_eq!(offline.frames.len(), 20, "{motion}");
+        let last = offline.frames.last().unwrap();
+        let values = &last.mean_and_std;
+        assert!(values.iter().all(|(mean, std)| (0.5..1.5).contains(mean) && *std > 0.0), "{motion}: {values:?}");
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_wrong_node_is_left_out_and_the_damaged_storey_named() {
     for seed in ["1", "2", "3"] {

@@ -288,11 +288,7 @@ impl Structure {
             match channel.quantity() {
                 Quantity::Displacement | Quantity::Strain => rows.extend([row(0), row(free)]),
                 Quantity::Velocity => rows.push(row(free)),
-                Quantity::AbsoluteAcceleration
-                | Quantity::RelativeAcceleration
-                | Quantity::RestoringAcceleration
-                | Quantity::GroundAcceleration
-                | Quantity::Force => {}
+                other => debug_assert!(!other.is_told_as_response()),
             }
         }
         Responses::new(DMatrix::from_fn(rows.len(), 2 * free, |row, column| rows[row][column]))

@@ -101,10 +101,13 @@ impl Moved {
             excitation: DMatrix::zeros(inputs, inputs),
             sensors: DVector::zeros(structure.observation_channels.len()),
         };
+        let frames_per_sample = structure.frames_per_sample();
+        let every = |row: usize| frames_per_sample[structure.observation_channels[row]] as f64;
         for (level, variance) in structure.noise_levels.iter().zip(variances) {
             match level.source() {
                 NoiseSource::Excitation(index) => noise.excitation += structure.excitation_pattern(*index) * variance,
-                NoiseSource::Sensors(rows) => rows.iter().for_each(|row| noise.sensors[*row] = variance),
+                // the simulation spreads what a slower node measures over all frames
+                NoiseSource::Sensors(rows) => rows.iter().for_each(|row| noise.sensors[*row] = variance * every(*row)),
             }
         }
         let form = LinearForm::new(&mut structure.model(), &theta);

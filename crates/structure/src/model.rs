@@ -351,6 +351,9 @@ impl ObservationModel for StructureModel {
     fn observation_jacobian_mul(&self, columns: &DMatrix<f64>, out: &mut DMatrix<f64>) {
         let (len, free) = (self.state_len(), self.fixed.assembly.len());
         let rows = self.responses.len();
+        if rows == 0 {
+            return; // a node that measures nothing but the excitation
+        }
         for (column, out) in columns.as_slice().chunks_exact(len).zip(out.as_mut_slice().chunks_exact_mut(rows)) {
             for (entry, response) in out.iter_mut().zip(&self.responses) {
                 *entry = response.jacobian_dot(free, column);

@@ -52,6 +52,11 @@ impl Quantity {
         }
     }
 
+    /// Whether nodes that exchange responses tell it: what the state holds, and not what excites or accelerates it.
+    pub(crate) fn is_told_as_response(self) -> bool {
+        matches!(self, Self::Displacement | Self::Velocity | Self::Strain)
+    }
+
     /// Returns the units that the columns of a record may have, each with its size in the SI unit.
     #[must_use]
     pub fn record_units(self) -> &'static [(&'static str, f64)] {

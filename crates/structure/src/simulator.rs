@@ -98,11 +98,17 @@ impl Structure {
     }
 
     /// Makes a simulation of the structure at its prior means, with nothing but white noise happening to it; mean forces
-    /// are left out, and hysteretic springs are linear in it, as for small motions.
+    /// are left out, and hysteretic springs are linear in it, as for small motions. A slower node measures at each frame, with as much
+    /// more variance ([`Structure::frames_per_sample`]): so long as motion is slower than its samples, these tell the same.
     pub(crate) fn undamaged_simulator(&self, seed: u64) -> Simulator {
         let plan = SimulationPlan::uneventful(self.nodes.len());
         let means = self.parameters.iter().map(crate::Parameter::mean).collect();
-        Simulator::new(self, plan, means, Amplitude::Small, seed)
+        let mut simulator = Simulator::new(self, plan, means, Amplitude::Small, seed);
+        for channel in &mut simulator.channels {
+            channel.noise_std *= (channel.every as f64).sqrt();
+            channel.every = 1;
+        }
+        simulator
     }
 
     /// Returns the true parameters (ratios to nominal) of the simulation at a frame.
@@ -273,8 +279,8 @@ fn actual_std(structure: &Structure, is_meant: impl Fn(&NoiseSource) -> bool) ->
 
 fn simulated_channels(structure: &Structure) -> Vec<SimulatedChannel> {
     let mut channels = Vec::new();
+    let frames_per_sample = structure.frames_per_sample();
     for (place, node) in structure.nodes().iter().enumerate() {
-        let every = node.sampling_rate_hz().map_or(1.0, |rate_hz| structure.sampling_rate_hz / rate_hz);
         for channel in node.channels() {
             let frame_channel = channels.len();
             let position = |of: &[usize]| of.iter().position(|channel| *channel == frame_channel);
@@ -288,7 +294,8 @@ fn simulated_channels(structure: &Structure) -> Vec<SimulatedChannel> {
             let noise_std = actual_std(structure, is_own).unwrap_or(channel.noise_std());
             // a channel is one or the other, checked when the file was read
             if let Some(source) = row.map(Source::Response).or(input.map(Source::Excitation)) {
-                channels.push(SimulatedChannel { source, noise_std, every: every.round() as u64, node: place });
+                let every = frames_per_sample[frame_channel];
+                channels.push(SimulatedChannel { source, noise_std, every, node: place });
             }
         }
     }

@@ -150,6 +150,13 @@ impl Structure {
         self.nodes.iter().flat_map(|node| node.channels())
     }
 
+    /// Returns for each channel of a frame how many frames come for one of its samples: 1 unless its node is slower.
+    pub(crate) fn frames_per_sample(&self) -> Vec<u64> {
+        let every = |node: &Node| node.sampling_rate_hz().map_or(1.0, |rate_hz| self.sampling_rate_hz / rate_hz);
+        let of_node = |node: &Node| vec![every(node).round() as u64; node.channels().len()];
+        self.nodes.iter().flat_map(of_node).collect()
+    }
+
     /// Returns the number of channels of a frame.
     #[must_use]
     pub fn channel_count(&self) -> usize {

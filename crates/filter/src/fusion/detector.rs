@@ -4,6 +4,7 @@
 //! parameters do not fit those of the other nodes.
 
 use super::gaussian::Gaussian;
+use super::station::Sharing;
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -41,14 +42,17 @@ const FEWEST: usize = 2;
 
 /// Sums of weights `1/v` and of weighted means.
 struct Sums {
+    nodes: usize,
+    sharing: Sharing,
     weights: DVector<f64>,
     weighted: DVector<f64>,
 }
 
 impl Sums {
-    fn of<'g>(len: usize, nodes: impl Iterator<Item = &'g Gaussian>) -> Self {
-        let mut sums = Self { weights: DVector::zeros(len), weighted: DVector::zeros(len) };
+    fn of<'g>(len: usize, sharing: Sharing, nodes: impl Iterator<Item = &'g Gaussian>) -> Self {
+        let mut sums = Self { nodes: 0, sharing, weights: DVector::zeros(len), weighted: DVector::zeros(len) };
         for node in nodes {
+            sums.nodes += 1;
             for m in 0..len {
                 let weight = 1.0 / node.covariance[(m, m)];
                 sums.weights[m] += weight;
@@ -59,15 +63,20 @@ impl Sums {
     }
 
     /// Squared distance of a node from these sums, without its own terms where it is part of them.
+    ///
+    /// In (7.52) the others are surer by their number, as if each had learnt by itself. Nodes that tell one another what they
+    /// measure know much the same: the mean of the others is as uncertain as one of them, and a node that is surer than they are
+    /// would be far from all. What the others know together is counted as it is fused, `1/γ` of each.
     fn squared_distance(&self, node: &Gaussian, is_part: bool) -> f64 {
         let mut sum = 0.0;
+        let shared = self.sharing.factor(self.nodes - usize::from(is_part));
         for m in 0..node.mean.len() {
             let (variance, mean) = (node.covariance[(m, m)], node.mean[m]);
             let own = if is_part { 1.0 / variance } else { 0.0 };
             let weight = self.weights[m] - own;
             if weight > 0.0 {
                 let others = (self.weighted[m] - own * mean) / weight;
-                sum += (others - mean).powi(2) / (1.0 / weight + variance);
+                sum += (others - mean).powi(2) / (shared / weight + variance);
             }
         }
         sum
@@ -81,21 +90,22 @@ impl GlobalDetector {
         chi_squared(parameters).map_or(f64::INFINITY, |chi| chi.inverse_cdf(self.screening).sqrt())
     }
 
-    /// Judges the nodes by their densities of the same parameters; the order is kept. Fewer than three are not judged.
+    /// Judges the nodes, which share what they know as `sharing` says, by their densities of the same parameters; the order is kept.
+    /// Fewer than three are not judged.
     #[must_use]
-    pub fn judge(&self, nodes: &[&Gaussian]) -> Vec<NodeDistance> {
+    pub fn judge(&self, nodes: &[&Gaussian], sharing: Sharing) -> Vec<NodeDistance> {
         let parameters = nodes.first().map_or(0, |node| node.mean.len());
         let Some(chi) = chi_squared(parameters).filter(|_| nodes.len() > FEWEST) else {
             return vec![NodeDistance { distance: 0.0, excluded: false }; nodes.len()];
         };
         let limit = chi.inverse_cdf(self.screening).sqrt();
-        let all = Sums::of(parameters, nodes.iter().copied());
+        let all = Sums::of(parameters, sharing, nodes.iter().copied());
         let mut found: Vec<NodeDistance> = nodes
             .iter()
             .map(|node| NodeDistance { distance: all.squared_distance(node, true).sqrt(), excluded: false })
             .collect();
         if self.one_at_a_time {
-            self.delete_farthest(nodes, limit, &mut found);
+            self.delete_farthest(nodes, sharing, limit, &mut found);
             return found;
         }
         let mut regular: Vec<bool> = found.iter().map(|node| node.distance <= limit).collect();
@@ -106,7 +116,8 @@ impl GlobalDetector {
             let median = distances[(distances.len() - 1) / 2];
             regular = found.iter().map(|node| node.distance <= median).collect();
         }
-        let kept = Sums::of(parameters, nodes.iter().zip(&regular).filter(|(_, is)| **is).map(|(node, _)| *node));
+        let kept = nodes.iter().zip(&regular).filter(|(_, is)| **is).map(|(node, _)| *node);
+        let kept = Sums::of(parameters, sharing, kept);
         for ((node, found), regular) in nodes.iter().zip(&mut found).zip(&regular) {
             if !regular {
                 let squared = kept.squared_distance(node, false);
@@ -116,14 +127,14 @@ impl GlobalDetector {
         found
     }
 
-    fn delete_farthest(&self, nodes: &[&Gaussian], limit: f64, found: &mut [NodeDistance]) {
+    fn delete_farthest(&self, nodes: &[&Gaussian], sharing: Sharing, limit: f64, found: &mut [NodeDistance]) {
         let parameters = nodes[0].mean.len();
         loop {
             let left: Vec<usize> = (0..nodes.len()).filter(|index| !found[*index].excluded).collect();
             if left.len() <= FEWEST {
                 return;
             }
-            let sums = Sums::of(parameters, left.iter().map(|index| nodes[*index]));
+            let sums = Sums::of(parameters, sharing, left.iter().map(|index| nodes[*index]));
             for index in 0..nodes.len() {
                 found[index].distance = sums.squared_distance(nodes[index], !found[index].excluded).sqrt();
             }

@@ -46,7 +46,7 @@ pub enum Sharing {
 }
 
 impl Sharing {
-    fn factor(self, nodes: usize) -> f64 {
+    pub(super) fn factor(self, nodes: usize) -> f64 {
         let most = nodes.max(1) as f64;
         match self {
             Self::All => most,
@@ -402,7 +402,11 @@ impl Station {
         let readmission = detector.readmission.max(1);
         let densities: Vec<&Gaussian> =
             heard.iter().filter_map(|index| self.known[*index].own.as_ref().map(|(_, density)| density)).collect();
-        for (index, NodeDistance { distance, excluded }) in heard.iter().zip(detector.judge(&densities)) {
+        let sharing = match self.settings.rule {
+            FusionRule::Published => Sharing::Nothing,
+            FusionRule::PriorCorrect(sharing) => sharing,
+        };
+        for (index, NodeDistance { distance, excluded }) in heard.iter().zip(detector.judge(&densities, sharing)) {
             let suspended = &mut self.known[*index].suspended;
             *suspended = if excluded { readmission } else { suspended.saturating_sub(1) };
             nodes[*index].distance = Some(distance);

@@ -254,3 +254,26 @@ fn modes_are_chosen_by_mass_and_those_that_miss_some_are_warned_of() {
     assert!(modes == 2 && (0.10..0.12).contains(&share), "{share}");
     assert_eq!(missed("modes = 6"), None);
 }
+
+/// Half the samples of a sensor without others hold as much as all of them with twice the variance: the report of a structure of which
+/// every node is slower than the frames is that of one whose frames are as slow, but for what is lost between the samples.
+#[test]
+fn slower_nodes_are_counted_by_what_they_measure() {
+    let settling = |text: &str| {
+        let report = parse(text).check(600.0, 1);
+        let identification = report.identification.unwrap_or_else(|| panic!("{:?}", report.findings));
+        identification.parameters.iter().map(|parameter| parameter.std_after).collect::<Vec<_>>()
+    };
+    let at_200 = DEMO.replacen("sampling-rate-hz = 100", "sampling-rate-hz = 200", 1);
+    let mut slower = at_200.clone();
+    for floor in 1..=5 {
+        let name = format!("name = \"floor-{floor}\"\n");
+        slower = slower.replacen(&name, &format!("{name}sampling-rate-hz = 100\n"), 1);
+    }
+    assert_eq!(slower.matches("sampling-rate-hz = 100").count(), 5);
+    let (all, half) = (settling(&at_200), settling(&slower));
+    for (all, half) in all.iter().zip(&half) {
+        // √2 where white noise of the sensors is all that hides the parameters
+        assert!((1.05..1.5).contains(&(half / all)), "{half} for {all}");
+    }
+}

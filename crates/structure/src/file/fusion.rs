@@ -108,9 +108,9 @@ pub(super) fn read_fusion(
         check_rate(file, None, plan.rate_hz, rate_hz, nodes);
         return Some(plan);
     };
-    let fusion_rate = section.number("rate-hz", Allowed::POSITIVE);
+    let fusion_rate = section.number("rate-hz", Allowed::RATE);
     plan.rate_hz = fusion_rate.as_ref().map_or(RATE_HZ, |rate| *rate.get_ref());
-    check_rate(&section, fusion_rate.as_ref(), plan.rate_hz, rate_hz, nodes);
+    let divides = check_rate(&section, fusion_rate.as_ref(), plan.rate_hz, rate_hz, nodes);
     let rule = section.choice("rule", &RULES).map_or(Rule::PriorCorrect, Spanned::into_inner);
     let sharing = section.number("sharing-factor", Allowed::FROM_ONE);
     plan.rule = match rule {
@@ -129,7 +129,9 @@ pub(super) fn read_fusion(
     if let Some(full) = section.choice("covariance", &COVARIANCES) {
         plan.covariance = if full.into_inner() { CovarianceScheme::Full } else { CovarianceScheme::Identity };
     }
-    let motion = section.choice("motion", &MOTIONS).map_or(Motion::None, Spanned::into_inner);
+    let motion = section.choice("motion", &MOTIONS);
+    let motion_span = motion.as_ref().map_or(section.span(), Spanned::span);
+    let motion = motion.map_or(Motion::None, Spanned::into_inner);
     let modes = section.whole("modes", 1, 10_000);
     let samples = section.whole("samples-per-period", 1, 10_000);
     plan.motion = match motion {
@@ -138,14 +140,17 @@ pub(super) fn read_fusion(
         Motion::Responses => MotionPlan::Responses,
         Motion::Samples => MotionPlan::Samples(samples.as_ref().map_or(SAMPLES, |samples| *samples.get_ref())),
     };
-    if let (MotionPlan::Samples(instants), Some(rate_hz)) = (plan.motion, rate_hz) {
+    if let (MotionPlan::Samples(instants), Some(rate_hz)) = (plan.motion, rate_hz.filter(|_| divides)) {
         let rates = nodes.iter().map(|node| node.sampling_rate_hz().unwrap_or(rate_hz));
         let uneven = |rate_hz: &f64| !((rate_hz / plan.rate_hz).round() as u64).is_multiple_of(instants as u64);
         if let Some(rate_hz) = rates.chain([rate_hz]).find(uneven) {
             let span = samples.as_ref().map_or(section.span(), Spanned::span);
-            let allowed =
-                format!("must divide the samples of a node in a fusion period, such as {}", rate_hz / plan.rate_hz);
-            section.diagnostics().report(span, section.key("samples-per-period"), format!("is {instants}"), allowed);
+            let allowed = format!(
+                "must divide {}, the samples of a node in a fusion period, without remainder",
+                (rate_hz / plan.rate_hz).round()
+            );
+            let found = if samples.is_some() { format!("is {instants}") } else { format!("is left at {instants}") };
+            section.diagnostics().report(span, section.key("samples-per-period"), found, allowed);
         }
     }
     if let Some(samples) = samples.filter(|_| motion != Motion::Samples) {
@@ -169,30 +174,52 @@ pub(super) fn read_fusion(
         let allowed = "must not be \"none\" beside motion = \"samples\", which come with the answers";
         section.diagnostics().report(span.clone(), section.key("feedback"), "is \"none\"", allowed);
     }
-    let detector = section.choice("detector", &DETECTORS).map_or(Detector::OneAtATime, Spanned::into_inner);
-    let found = GlobalDetector {
-        screening: section.number_or("screening", Allowed::INSIDE_UNIT, DETECTOR.screening),
-        exclusion: section.number_or("exclusion", Allowed::INSIDE_UNIT, DETECTOR.exclusion),
-        one_at_a_time: detector == Detector::OneAtATime,
-        readmission: section
-            .whole("readmission", 1, 10_000)
-            .map_or(DETECTOR.readmission, |fusions| *fusions.get_ref() as u32),
-    };
-    plan.detector = (detector != Detector::None).then_some(found);
+    let tells = |node: &Node| node.channels().iter().any(|channel| channel.quantity().is_told_as_response());
+    if motion == Motion::Responses && !nodes.is_empty() && !nodes.iter().any(tells) {
+        let allowed = "must not be given where no node measures a displacement, a velocity or a strain, which is what nodes tell";
+        section.diagnostics().report(motion_span, section.key("motion"), "is \"responses\"", allowed);
+    }
+    plan.detector = read_detector(&mut section);
     plan.stale_periods = section.number_or("stale-periods", Allowed::FROM_ONE, STALE_PERIODS);
     section.finish();
     Some(plan)
 }
 
-/// A node sends after a whole number of its samples.
+/// Reads how the station tests the nodes; what the chosen test does not read must not be given.
+fn read_detector(section: &mut Section<'_>) -> Option<GlobalDetector> {
+    let detector = section.choice("detector", &DETECTORS).map_or(Detector::OneAtATime, Spanned::into_inner);
+    let screening = section.number("screening", Allowed::INSIDE_UNIT);
+    let exclusion = section.number("exclusion", Allowed::INSIDE_UNIT);
+    let readmission = section.whole("readmission", 1, 10_000);
+    let unread = [
+        ("screening", screening.as_ref().map(Spanned::span), detector == Detector::None),
+        ("exclusion", exclusion.as_ref().map(Spanned::span), detector != Detector::AllAtOnce),
+        ("readmission", readmission.as_ref().map(Spanned::span), detector == Detector::None),
+    ];
+    for (key, span, is_unread) in unread {
+        if let Some(span) = span.filter(|_| is_unread) {
+            let (name, _) = DETECTORS.iter().find(|(_, choice)| *choice == detector).unwrap_or(&DETECTORS[0]);
+            let allowed = format!("must not be given beside detector = \"{name}\", which does not read it");
+            section.diagnostics().report(span, section.key(key), "is given", allowed);
+        }
+    }
+    (detector != Detector::None).then_some(GlobalDetector {
+        screening: screening.map_or(DETECTOR.screening, Spanned::into_inner),
+        exclusion: exclusion.map_or(DETECTOR.exclusion, Spanned::into_inner),
+        one_at_a_time: detector == Detector::OneAtATime,
+        readmission: readmission.map_or(DETECTOR.readmission, |fusions| *fusions.get_ref() as u32),
+    })
+}
+
+/// A node sends after a whole number of its samples; returns whether it does.
 fn check_rate(
     section: &Section<'_>,
     given: Option<&Spanned<f64>>,
     fusion_rate_hz: f64,
     rate_hz: Option<f64>,
     nodes: &[Node],
-) {
-    let Some(rate_hz) = rate_hz else { return };
+) -> bool {
+    let Some(rate_hz) = rate_hz else { return true };
     for rate_hz in nodes.iter().map(|node| node.sampling_rate_hz().unwrap_or(rate_hz)).chain([rate_hz]) {
         let samples = rate_hz / fusion_rate_hz;
         if samples.round() < 1.0 || (samples - samples.round()).abs() > 1e-9 * samples {
@@ -203,9 +230,10 @@ fn check_rate(
             let allowed =
                 format!("must be the sampling rate of each node, such as {rate_hz}, divided by a whole number");
             section.diagnostics().report(span, key, format!("is {fusion_rate_hz}"), allowed);
-            return;
+            return false;
         }
     }
+    true
 }
 
 #[cfg(test)]

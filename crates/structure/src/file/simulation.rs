@@ -82,7 +82,12 @@ fn read_fault(mut section: Section<'_>, context: &Context<'_>) -> Option<Fault> 
     let node = section.required_name("node");
     let kind = section.required_choice("kind", &FAULT_KINDS);
     let from_s = section.number_or("from-s", Allowed::NOT_NEGATIVE, 0.0);
-    let until_s = section.number("until-s", Allowed::POSITIVE).map_or(f64::INFINITY, Spanned::into_inner);
+    let until = section.number("until-s", Allowed::POSITIVE);
+    if let Some(until) = until.as_ref().filter(|until| *until.get_ref() <= from_s) {
+        let (found, allowed) = (format!("is {}", until.get_ref()), format!("must be after from-s, {from_s}"));
+        section.diagnostics().report(until.span(), section.key("until-s"), found, allowed);
+    }
+    let until_s = until.map_or(f64::INFINITY, Spanned::into_inner);
     let height = section.number("height", Allowed::ANY);
     let kind = kind.map(Spanned::into_inner);
     if let (Some(height), Some(FaultKind::Silence)) = (&height, kind) {

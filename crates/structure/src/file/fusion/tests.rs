@@ -32,13 +32,37 @@ fn defaults_tell_nothing_of_the_motion() {
 }
 
 #[test]
+fn a_rate_that_divides_nothing_is_one_mistake() {
+    let error = with("rate-hz = 7\nmotion = \"samples\"\nsamples-per-period = 50").unwrap_err();
+    assert!(error.contains("fusion.rate-hz: is 7") && !error.contains("samples-per-period"), "{error}");
+    let error = with("rate-hz = 250\nmotion = \"samples\"").unwrap_err();
+    assert!(error.contains("fusion.samples-per-period: is left at 10, must divide 1,"), "{error}");
+}
+
+#[test]
+fn responses_need_a_node_that_tells_some() {
+    let accelerations = include_str!("../../../../../docs/examples/demo.toml").replacen(
+        "sampling-rate-hz",
+        "identification = \"distributed\"\nsampling-rate-hz",
+        1,
+    );
+    let text = format!("{accelerations}\n[fusion]\nmotion = \"responses\"\n");
+    let error = Structure::parse(&text, Path::new("demo.toml")).unwrap_err().to_string();
+    assert!(error.contains("fusion.motion: is \"responses\", must not be given where no node measures"), "{error}");
+}
+
+#[test]
 fn bad_input_names_the_key_and_what_is_allowed() {
     for (fusion, expected) in [
         ("rate-hz = 3", "fusion.rate-hz: is 3, must be the sampling rate of each node, such as 250"),
         (
             "motion = \"samples\"\nsamples-per-period = 3",
-            "fusion.samples-per-period: is 3, must divide the samples of a node",
+            "fusion.samples-per-period: is 3, must divide 250, the samples of a node",
         ),
+        ("rate-hz = 1e-300", "fusion.rate-hz: is 1e-300, must be a finite number from 0.001 "),
+        ("exclusion = 0.9", "fusion.exclusion: is given, must not be given beside detector = \"one-at-a-time\""),
+        ("detector = \"none\"\nscreening = 0.9", "fusion.screening: is given, must not be given beside detector = \"none\""),
+        ("detector = \"none\"\nreadmission = 2", "fusion.readmission: is given, must not be given beside detector = \"none\""),
         (
             "samples-per-period = 5",
             "fusion.samples-per-period: is given, must not be given unless motion = \"samples\"",
