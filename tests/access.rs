@@ -630,52 +630,43 @@ fn certificates_can_stand_in_the_configuration() {
     assert!(String::from_utf8_lossy(&elsewhere.stderr).contains("/nowhere/worker.main.pem"), "{elsewhere:?}");
 }
 
-/// The commands of a block of deploy/README.md.
-fn commands_of_the_page(block: &str) -> Vec<Vec<String>> {
-    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/README.md");
-    let page = std::fs::read_to_string(page).unwrap();
-    let text = page.split_once(&format!("```sh {block}\n")).unwrap().1.split_once("```").unwrap().0.to_owned();
-    text.lines().map(|line| line.split_whitespace().map(str::to_owned).collect()).collect()
-}
-
-#[test]
-fn the_commands_of_the_installation_make_a_site_that_works() {
-    let folder = tempfile::tempdir().unwrap();
-    let site = folder.path().join("my-site");
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_a_party_may_not_do_at_its_router_reaches_nobody_at_another() {
     let structure = five_storeys();
-    let address = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let commands = commands_of_the_page("site");
-    assert_eq!(commands.len(), 6);
-    for command in &commands {
-        assert_eq!(command[..2], ["spandrel", "site"], "{command:?}");
-        let here = |word: &String| match word.as_str() {
-            "my-site" => site.to_str().unwrap().to_owned(),
-            "bridge.toml" => structure.to_str().unwrap().to_owned(),
-            "quic/10.0.0.5:7447" => format!("quic/{address}"),
-            "10.0.0.5" => address.ip().to_string(),
-            // here the router finds its certificate where it was made
-            "/run/credentials/spandrel-router.service" => site.to_str().unwrap().to_owned(),
-            word => word.to_owned(),
-        };
-        Process::start(support::spandrel("site").args(command[2..].iter().map(here))).wait().expect_code(0);
-    }
-    let router = Process::start(support::spandrel("router").arg(site.join("router.json5")).arg("-v"));
-    router.wait_for_log("ready");
-    let connecting = |subcommand: &str, certificate: &str| {
-        let mut command = support::spandrel(subcommand);
-        command.args(["--connect", &format!("quic/{address}"), "--certificate"]).arg(site.join(certificate));
-        command
+    let site = Secured::new(&structure, &["worker.main"]);
+    site.tool(&["issue"], &["router", "second", "--host", "127.0.0.1"]);
+    let second = std::net::UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let (second, file) = (format!("quic/{second}"), site.folder().join("second.json5"));
+    let router = |name: &str, more: &[&str]| {
+        let of_each = [structure.to_str().unwrap(), "--router", name, "--replace", "--listen"];
+        site.tool(&["router"], &[&of_each, more].concat());
     };
-    let server = Process::start(connecting("run", "server.main.pem").arg(&structure).args(["-v", "--http", "none"]));
-    server.wait_for_log("ready structures=1");
-    let mut node = connecting("simulate", "sensor.demo.ground.pem");
-    let node = Process::start(node.arg(&structure).args(["--live", "--node", "ground"]));
-    let view = Process::start(&mut connecting("watch", "operator.grace.pem"));
-    view.wait_for_output("the structure", |said| said.contains("demo"));
-    view.stop().expect_code(0);
-    node.stop().expect_code(0);
-    server.stop().expect_code(0);
-    router.stop().expect_code(0);
+    router("main", &[site.endpoint()]);
+    router("second", &[&second, "--connect", site.endpoint(), "--output", file.to_str().unwrap()]);
+    let _router = site.router();
+    let other = Process::start(support::spandrel("router").arg(&file).arg("-v"));
+    other.wait_for_log("ready");
+
+    let worker = site.join("worker.main").await;
+    let (heard, hearing) = flume::unbounded::<Sample>();
+    let all = worker.session().declare_subscriber("spandrel/demo/sensor/*/samples");
+    let _subscriber = all.callback(move |sample| heard.send(sample).unwrap()).await.unwrap();
+    let at_second = spandrel_bus::BusConfig { connect: vec![second], ..site.config("sensor.demo.ground") };
+    let sensor = Bus::open(&at_second).await.unwrap();
+    let own = sensor.session().declare_publisher("spandrel/demo/sensor/ground/samples").await.unwrap();
+    let matching = own.matching_listener().await.unwrap();
+    within("the subscription behind the other router", async {
+        while !own.matching_status().await.unwrap().matching() && !matching.recv_async().await.unwrap().matching() {}
+    })
+    .await;
+    // one link keeps the order: what is refused would be heard before what is allowed
+    sensor.session().put("spandrel/demo/sensor/floor-1/samples", "message").await.unwrap();
+    sensor.session().put("spandrel/demo/sensor/ground/samples", "message").await.unwrap();
+    let sample = within("samples from the other router", hearing.recv_async()).await.unwrap();
+    assert_eq!(sample.key_expr().as_str(), "spandrel/demo/sensor/ground/samples");
+    sensor.close().await.unwrap();
+    worker.close().await.unwrap();
+    other.stop().expect_code(0);
 }
 
 #[test]
@@ -684,7 +675,7 @@ fn the_router_file_in_deploy_is_what_the_program_writes() {
     let site = Secured::new(&five_storeys(), &others);
     let written = site.folder().join("written.json5");
     let structure = five_storeys();
-    let credentials = "/run/credentials/spandrel-router.service";
+    let credentials = "/run/credentials/spandrel-router@main.service";
     let listen =
         ["--listen", "quic/10.0.0.5:7447", "--installed-in", credentials, "--output", written.to_str().unwrap()];
     site.tool(&["router"], &[&[structure.to_str().unwrap()], &listen[..]].concat());

@@ -5,12 +5,15 @@
 mod support;
 
 use serde_json::Value;
+use spandrel_bus::{AlertMessage, AlertState, Bus, Keys, Name, Service, Status};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 use std::time::Duration;
-use support::{DEADLINE, Process, Site, spandrel, two_storeys};
+use support::{DEADLINE, Process, Site, spandrel, two_storeys, within};
 
 /// Damage of storey 2 at 20 s; a rule against the design.
 const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
@@ -18,21 +21,28 @@ const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility
 const TOKEN: &str = "t0ken-of-the-test";
 const PATH: &str = "/hooks/s3cret-path";
 
-/// A request as it came: head and body.
+/// A request as it came: head and body, and whether it was taken.
 struct Request {
     head: String,
     body: Value,
+    is_taken: bool,
 }
 
 /// Answers HTTP requests, the first `failing` of them with an error.
 fn http(failing: usize) -> (SocketAddr, Receiver<Request>) {
+    let asked = AtomicUsize::new(0);
+    answering(move || asked.fetch_add(1, Ordering::Relaxed) < failing)
+}
+
+/// Answers HTTP requests, with an error as long as it is said to fail.
+fn answering(fails: impl Fn() -> bool + Send + Sync + 'static) -> (SocketAddr, Receiver<Request>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     let (sender, requests) = channel();
     thread::spawn(move || {
-        for (number, stream) in listener.incoming().enumerate() {
-            let sender = sender.clone();
-            thread::spawn(move || answer(stream.unwrap(), number < failing, &sender));
+        for stream in listener.incoming() {
+            let (sender, fails) = (sender.clone(), fails());
+            thread::spawn(move || answer(stream.unwrap(), fails, &sender));
         }
     });
     (address, requests)
@@ -56,7 +66,7 @@ fn answer(mut stream: TcpStream, fails: bool, requests: &Sender<Request>) {
     let status = if fails { "503 Service Unavailable" } else { "200 OK" };
     write!(stream, "HTTP/1.1 {status}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n").unwrap();
     // the test may have ended
-    let _ = requests.send(Request { head, body: serde_json::from_slice(&body).unwrap() });
+    let _ = requests.send(Request { head, body: serde_json::from_slice(&body).unwrap(), is_taken: !fails });
 }
 
 /// Takes mails, and sends what stands in them.
@@ -143,6 +153,136 @@ async fn an_alert_reaches_webhook_alertmanager_and_people_once() {
         assert!(!finished.stderr.contains(secret), "{secret} in the log:\n{}", finished.stderr);
     }
     assert!(finished.stderr.contains("alert not told, it is tried again"), "{}", finished.stderr);
+}
+
+/// An alert of storey 2 as the alert service puts it.
+fn alert(site: &Site, seconds: i64, state: AlertState) -> AlertMessage {
+    AlertMessage {
+        structure: Name::new(site.structure().name()).unwrap(),
+        parameter: Name::new("storey-2").unwrap(),
+        time_ns: seconds * 1_000_000_000,
+        state,
+        since_ns: None,
+        rule_loss: 0.05,
+        rule_credibility: 0.99,
+        credibility: 0.995,
+        loss: Some(0.1),
+        loss_interval: None,
+        mean: 0.9,
+        std: 0.01,
+        reference: Some(1.0),
+        reference_std: Some(0.0),
+        acknowledged_by: None,
+        why: "storey-2 has lost 10 %".to_owned(),
+    }
+}
+
+/// Waits until `notify` has taken so many alerts: its status comes after they are on the disk.
+async fn taken(bus: &Bus, keys: &Keys, count: u64) {
+    let statuses = bus.subscribe::<Status>(keys.all_statuses(), 64).await.unwrap();
+    let taken = async {
+        loop {
+            let (_, status) = statuses.messages().recv_async().await.unwrap();
+            if status.service.as_str() == Service::Notify.as_str() && status.done >= count {
+                return;
+            }
+        }
+    };
+    within(&format!("{count} alerts taken by notify"), taken).await;
+}
+
+// What had not been delivered was lost with the process, but for the last state of each alert.
+#[tokio::test(flavor = "multi_thread")]
+async fn notices_survive_being_killed_between_failures_and_arrive_under_one_key_each() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let (bus, keys) = (site.host().await, site.keys());
+    let is_down = Arc::new(AtomicBool::new(true));
+    let down = is_down.clone();
+    let (hook, hooks) = answering(move || down.load(Ordering::SeqCst));
+    let (manager, managed) = answering(|| false);
+    let configuration = site.folder().join("spandrel.toml");
+    let text = format!(
+        "[[notify.webhook]]\nurl = \"http://{hook}{PATH}\"\n[[notify.webhook]]\nurl = \"http://{manager}/\"\n\
+         [state]\nfolder = \"state\"\n"
+    );
+    std::fs::write(&configuration, text).unwrap();
+    let mut tokens = bus.watch_live(keys.all_live(Service::Notify)).await.unwrap();
+    let mut notify = async || {
+        // that of a life before has to be gone
+        within("no token of notify", async {
+            while !tokens.present().is_empty() && !tokens.changed().await.is_empty() {}
+        })
+        .await;
+        let process = Process::start(site.connecting("notify").arg("--config").arg(&configuration));
+        within("token of notify", tokens.some()).await;
+        process
+    };
+    let publisher = bus.publish_display(keys.alert(&Name::new("storey-2").unwrap())).await.unwrap();
+    let put = async |seconds, state| publisher.put(&alert(&site, seconds, state)).await.unwrap();
+    let states = [AlertState::Raised, AlertState::Cleared];
+
+    // three lives, each of which takes two alerts, fails to deliver, and is killed between two attempts
+    let mut expected = Vec::new();
+    for life in 0..3_u8 {
+        let process = notify().await;
+        for (number, state) in (1..).zip(states) {
+            let seconds = 100 * i64::from(life) + number;
+            expected.push(format!("house/storey-2/{seconds}000000000/{}", state.as_str()));
+            put(seconds, state).await;
+        }
+        taken(&bus, &keys, 2).await;
+        let attempts: Vec<Request> = (0..2).map(|_| hooks.recv_timeout(DEADLINE).unwrap()).collect();
+        for attempt in attempts {
+            assert_eq!(attempt.body["key"], expected[0], "in order");
+        }
+        process.kill();
+    }
+
+    // the receiver is back: each of them once, in order
+    is_down.store(false, Ordering::SeqCst);
+    let process = notify().await;
+    // what is taken, up to a key
+    let taken_by = |requests: &Receiver<Request>, last: &str| {
+        let mut keys: Vec<String> = Vec::new();
+        while keys.last().is_none_or(|key| key != last) {
+            let request = requests.recv_timeout(DEADLINE).unwrap();
+            keys.extend(request.is_taken.then(|| request.body["key"].as_str().unwrap().to_owned()));
+        }
+        keys
+    };
+    let last = expected.last().unwrap().clone();
+    assert_eq!(taken_by(&hooks, &last), expected);
+    // who was there all the time has each of them as well: one whose delivery was not noted any more comes again under its key
+    let mut of_other = taken_by(&managed, &last);
+    of_other.dedup();
+    assert_eq!(of_other, expected);
+    // and the delivery of all is noted: the next life has nothing to tell but what is new
+    process.stop().expect_code(0);
+    let process = notify().await;
+    put(900, AlertState::Raised).await;
+    let next = "house/storey-2/900000000000/raised";
+    assert_eq!(taken_by(&hooks, next), [next]);
+    process.stop().expect_code(0);
+
+    // nothing of the address but what the log shows is on the disk
+    let kept = site.folder().join("state");
+    let mut files = Vec::new();
+    let mut folders = vec![kept];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            match path.is_dir() {
+                true => folders.push(path),
+                false => files.push(path),
+            }
+        }
+    }
+    assert!(files.iter().any(|file| file.to_string_lossy().contains("notify-")), "{files:?}");
+    for file in files {
+        let bytes = std::fs::read(&file).unwrap();
+        assert!(!bytes.windows(6).any(|part| part == b"s3cret"), "{}", file.display());
+    }
+    bus.close().await.unwrap();
 }
 
 #[test]

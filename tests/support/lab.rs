@@ -15,7 +15,8 @@ const REQUIRE_ALL: &str = "REQUIRE_ALL_TESTS";
 /// Some computers on one switch. They are gone when this is dropped; processes in them have to end before.
 pub struct Lab {
     number: u32,
-    names: Vec<String>,
+    /// Name and address of each computer.
+    computers: Vec<(String, String)>,
     switch: Option<(Child, ChildStdin)>,
 }
 
@@ -33,8 +34,16 @@ pub struct Link {
 impl Lab {
     /// A lab of computers of these names; none, and a line that says so, where the machine lacks the means or the right.
     pub fn or_skip(names: &[&str], seed: u64) -> Option<Self> {
+        let numbered = names.iter().enumerate();
+        let numbered: Vec<_> = numbered.map(|(index, name)| (*name, format!("10.98.0.{}", index + 1))).collect();
+        let numbered: Vec<(&str, &str)> = numbered.iter().map(|(name, address)| (*name, address.as_str())).collect();
+        Self::at_or_skip(&numbered, seed)
+    }
+
+    /// A lab of computers of these names and addresses, all in one network of 256; otherwise as [`Lab::or_skip`].
+    pub fn at_or_skip(computers: &[(&str, &str)], seed: u64) -> Option<Self> {
         remove_leftovers();
-        match Self::new(names, seed) {
+        match Self::new(computers, seed) {
             Ok(lab) => Some(lab),
             Err(lacking) => {
                 assert!(std::env::var_os(REQUIRE_ALL).is_none(), "{REQUIRE_ALL} is set, and {lacking}");
@@ -44,20 +53,20 @@ impl Lab {
         }
     }
 
-    fn new(names: &[&str], seed: u64) -> Result<Self, String> {
+    fn new(computers: &[(&str, &str)], seed: u64) -> Result<Self, String> {
         let number = LABS.fetch_add(1, Ordering::Relaxed);
-        let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
-        let mut lab = Self { number, names, switch: None };
-        for name in &lab.names {
+        let owned = |(name, address): &(&str, &str)| ((*name).to_owned(), (*address).to_owned());
+        let mut lab = Self { number, computers: computers.iter().map(owned).collect(), switch: None };
+        for (name, _) in &lab.computers {
             ip(&["netns", "add", &lab.namespace(name)])?;
         }
-        let devices: Vec<String> = (0..lab.names.len()).map(|index| lab.device(index)).collect();
+        let devices: Vec<String> = (0..lab.computers.len()).map(|index| lab.device(index)).collect();
         lab.switch = Some(start_switch(seed, &devices)?);
-        for (index, name) in lab.names.iter().enumerate() {
+        for (index, (name, address)) in lab.computers.iter().enumerate() {
             let (namespace, device) = (lab.namespace(name), &devices[index]);
             ip(&["link", "set", device, "netns", &namespace, "name", "eth0"])?;
             let inside = |arguments: &[&str]| ip(&[&["-n", &namespace], arguments].concat());
-            inside(&["address", "add", &format!("{}/24", lab.address(name)), "dev", "eth0"])?;
+            inside(&["address", "add", &format!("{address}/24"), "dev", "eth0"])?;
             inside(&["link", "set", "lo", "up"])?;
             inside(&["link", "set", "eth0", "up"])?;
         }
@@ -84,7 +93,13 @@ impl Lab {
 
     /// The address of a computer.
     pub fn address(&self, name: &str) -> String {
-        format!("10.98.0.{}", self.index(name) + 1)
+        self.computers[self.index(name)].1.clone()
+    }
+
+    /// The computer that has an address.
+    pub fn name_at(&self, address: &str) -> &str {
+        let found = self.computers.iter().find(|(_, known)| known == address);
+        found.map(|(name, _)| name.as_str()).unwrap_or_else(|| panic!("no computer at {address}"))
     }
 
     /// Makes the link of a computer this good.
@@ -120,7 +135,7 @@ impl Lab {
     }
 
     fn index(&self, name: &str) -> usize {
-        self.names.iter().position(|known| known == name).unwrap_or_else(|| panic!("no computer {name}"))
+        self.computers.iter().position(|(known, _)| known == name).unwrap_or_else(|| panic!("no computer {name}"))
     }
 
     fn namespace(&self, name: &str) -> String {
@@ -139,7 +154,7 @@ impl Drop for Lab {
             let _ = switch.kill(); // its devices go with it
             let _ = switch.wait();
         }
-        for name in &self.names {
+        for (name, _) in &self.computers {
             let _ = ip(&["netns", "delete", &self.namespace(name)]); // the first that could not be made is not there
         }
     }

@@ -4,6 +4,7 @@
 #![allow(dead_code, unused_imports, reason = "each test file uses its part of it")]
 
 mod building;
+mod computers;
 mod disk;
 mod drops;
 mod estimates;
@@ -15,6 +16,7 @@ mod sensors;
 mod site;
 
 pub use building::{five_storeys, storeys, two_storeys};
+pub use computers::{Computers, packaged_postgresql};
 pub use disk::SmallDisk;
 pub use drops::Drops;
 pub use estimates::{EstimateReader, Estimated, Identified, assert_same_bits, identified};

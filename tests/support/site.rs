@@ -134,6 +134,12 @@ impl Site {
         Bus::open(&config).await.unwrap()
     }
 
+    /// A session of the test itself, which processes connect to.
+    pub async fn host(&self) -> Bus {
+        let config = BusConfig { root: self.root.clone(), listen: vec![self.endpoint.clone()], ..BusConfig::default() };
+        Bus::open(&config).await.unwrap()
+    }
+
     /// Waits for the liveliness tokens of all services.
     pub async fn wait_for_services(&self, bus: &Bus) {
         for service in [Service::Ingest, Service::Identify, Service::Alert] {

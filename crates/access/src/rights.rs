@@ -67,7 +67,7 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
     let watch_all = || Service::ALL.map(|service| (Right::Watch, K::Live(service))).to_vec();
     let progress = |right: Right| Service::ALL.map(|service| (right, K::Progress(service))).to_vec();
     let mut all = match role {
-        Role::Router => Vec::new(),
+        Role::Router | Role::Database => Vec::new(),
         Role::Server => [Role::Worker, Role::Alert, Role::History, Role::Notify, Role::Operator].map(rights).concat(),
         Role::Worker => [
             each(Right::Subscribe, &[K::Samples, K::Frames, K::Local, K::Feedback]),
@@ -98,7 +98,7 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         .concat(),
         Role::Notify => [
             each(Right::Subscribe, &[K::Alert]),
-            each(Right::Query, &[K::Alert]),
+            each(Right::Query, &[K::Alert, K::AlertLog]),
             each(Right::Watch, &[K::Live(Service::Alert)]),
             of_service(Service::Notify),
         ]

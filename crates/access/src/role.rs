@@ -8,8 +8,10 @@ use spandrel_bus::Name;
 /// What somebody is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Role {
-    /// The router that everybody connects to.
+    /// A router that others connect to; passes on what is said at other routers of the site.
     Router,
+    /// The PostgreSQL server of the history: nothing on the bus.
+    Database,
     /// All services of one machine in one process.
     Server,
     /// Ingest, identify and fuse.
@@ -47,8 +49,9 @@ pub enum Scope {
 
 impl Role {
     /// All roles.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Router,
+        Self::Database,
         Self::Server,
         Self::Worker,
         Self::Alert,
@@ -67,6 +70,7 @@ impl Role {
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Router => "router",
+            Self::Database => "database",
             Self::Server => "server",
             Self::Worker => "worker",
             Self::Alert => "alert",
@@ -88,6 +92,7 @@ impl Role {
             Self::Gateway => Scope::Structure,
             Self::NodeWorker | Self::Sensor => Scope::Node,
             Self::Router
+            | Self::Database
             | Self::Server
             | Self::Worker
             | Self::Alert

@@ -23,15 +23,20 @@ const MAX_OPENING: usize = 64;
 pub struct RouterPlan<'p> {
     /// First chunk of all keys.
     pub root: &'p Name,
+    /// The router itself.
+    pub router: &'p Party,
     /// Where it listens, `quic/…`.
     pub listen: &'p [String],
+    /// Other routers of the site that it connects to, `quic/…`.
+    pub connect: &'p [String],
     /// The certificate of the router, with its key and the authority.
     pub certificate: &'p Path,
     /// Key of that certificate.
     pub key: &'p Path,
     /// Certificate of the authority.
     pub authority: &'p Path,
-    /// Everybody who may connect; routers among them are left out.
+    /// Everybody who has a certificate. Other routers pass on what their parties are allowed; those who have no business on the
+    /// bus are left out.
     pub parties: &'p [Party],
 }
 
@@ -40,15 +45,15 @@ pub struct RouterPlan<'p> {
 /// # Errors
 /// An endpoint that is not `quic/…`, or a path that is not UTF-8.
 pub fn router_file(plan: &RouterPlan<'_>) -> Result<String, AccessError> {
-    if let Some(endpoint) = plan.listen.iter().find(|endpoint| !endpoint.starts_with("quic/")) {
+    if let Some(endpoint) = plan.listen.iter().chain(plan.connect).find(|endpoint| !endpoint.starts_with("quic/")) {
         return Err(AccessError::PlainEndpoint { endpoint: endpoint.clone() });
     }
     let (certificate, key, authority) = (text(plan.certificate)?, text(plan.key)?, text(plan.authority)?);
-    let listen: Vec<String> = plan.listen.iter().map(|endpoint| in_order(endpoint)).collect();
+    let in_order = |endpoints: &[String]| endpoints.iter().map(|endpoint| in_order(endpoint)).collect::<Vec<_>>();
     let largest = MAX_MESSAGE_BYTES + AROUND_THE_PAYLOAD;
-    let config = json!({
+    let mut config = json!({
         "mode": "router",
-        "listen": { "endpoints": listen },
+        "listen": { "endpoints": in_order(plan.listen) },
         "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
         "adminspace": { "enabled": false },
         "transport": {
@@ -75,8 +80,11 @@ pub fn router_file(plan: &RouterPlan<'_>) -> Result<String, AccessError> {
             "key_exprs": all_keys(plan.root),
             "size_limit": MAX_MESSAGE_BYTES,
         }],
-        "access_control": access_control(plan.root, plan.parties),
+        "access_control": access_control(plan.root, plan.router, plan.parties),
     });
+    if !plan.connect.is_empty() {
+        config["connect"] = json!({ "endpoints": in_order(plan.connect) });
+    }
     // a map of JSON values can always be written
     let config = serde_json::to_string_pretty(&config).unwrap_or_default();
     Ok(format!(
@@ -94,7 +102,7 @@ fn text(path: &Path) -> Result<&str, AccessError> {
 struct Rule {
     id: String,
     messages: Vec<&'static str>,
-    flow: &'static str,
+    flows: Vec<&'static str>,
     keys: Vec<String>,
 }
 
@@ -103,18 +111,25 @@ impl Rule {
         json!({
             "id": self.id,
             "permission": "allow",
-            "flows": [self.flow],
+            "flows": self.flows,
             "messages": self.messages,
             "key_exprs": self.keys,
         })
     }
 }
 
-fn access_control(root: &Name, parties: &[Party]) -> Value {
+fn access_control(root: &Name, router: &Party, parties: &[Party]) -> Value {
     let mut rules = vec![known_to_all(root)];
     let (mut subjects, mut policies) = (Vec::new(), Vec::new());
-    let parties: BTreeSet<&Party> = parties.iter().filter(|party| party.role() != Role::Router).collect();
-    for party in parties {
+    let others = |party: &&Party| party.role() == Role::Router && *party != router;
+    let routers: Vec<String> = parties.iter().filter(others).map(Party::common_name).collect();
+    if !routers.is_empty() {
+        rules.push(between_routers(root));
+        policies.push(json!({ "id": BETWEEN_ROUTERS, "rules": [BETWEEN_ROUTERS], "subjects": [BETWEEN_ROUTERS] }));
+        subjects.push(json!({ "id": BETWEEN_ROUTERS, "cert_common_names": routers }));
+    }
+    let on_the_bus = |party: &&Party| !rights(party.role()).is_empty();
+    for party in parties.iter().filter(on_the_bus).collect::<BTreeSet<_>>() {
         let of_party = rules_of(root, party);
         let name = party.common_name();
         let ids: Vec<&str> =
@@ -144,9 +159,25 @@ fn known_to_all(root: &Name) -> Rule {
     Rule {
         id: KNOWN_TO_ALL.to_owned(),
         messages: vec!["declare_subscriber", "declare_queryable"],
-        flow: "egress",
+        flows: vec!["egress"],
         keys: all_keys(root),
     }
+}
+
+const BETWEEN_ROUTERS: &str = "between routers";
+
+/// All that parties may do, in both directions: each router has asked its own parties, and believes the others that they have.
+fn between_routers(root: &Name) -> Rule {
+    let mut messages: Vec<&'static str> = Vec::new();
+    for right in Right::ALL {
+        let (arriving, leaving) = self::messages(right);
+        for message in arriving.into_iter().chain(leaving) {
+            if !messages.contains(&message) {
+                messages.push(message);
+            }
+        }
+    }
+    Rule { id: BETWEEN_ROUTERS.to_owned(), messages, flows: vec!["ingress", "egress"], keys: all_keys(root) }
 }
 
 /// All that is below the root: `**` does not match a chunk that begins with @, so that those are named.
@@ -180,7 +211,7 @@ fn rules_of(root: &Name, party: &Party) -> Vec<Rule> {
         for (flow, messages) in [("ingress", arriving), ("egress", leaving)] {
             if !messages.is_empty() {
                 let id = format!("{} {} {flow}", party.common_name(), right.as_str());
-                rules.push(Rule { id, messages, flow, keys: keys.clone() });
+                rules.push(Rule { id, messages, flows: vec![flow], keys: keys.clone() });
             }
         }
     }
@@ -240,11 +271,50 @@ mod tests {
     #[test]
     fn a_router_listens_with_certificates_only() {
         let listen = ["tcp/0.0.0.0:7447".to_owned()];
-        let path = Path::new("a.pem");
-        let root = root();
-        let plan =
-            RouterPlan { root: &root, listen: &listen, certificate: path, key: path, authority: path, parties: &[] };
-        let error = router_file(&plan).unwrap_err().to_string();
+        let error = written(&listen, &[], &[]).unwrap_err().to_string();
         assert!(error.contains("tcp/0.0.0.0:7447") && error.contains("quic/"), "{error}");
+        let error = written(&["quic/0.0.0.0:7447".to_owned()], &listen, &[]).unwrap_err().to_string();
+        assert!(error.contains("tcp/0.0.0.0:7447") && error.contains("quic/"), "{error}");
+    }
+
+    /// The file of router `north`, with its parties.
+    fn written(listen: &[String], connect: &[String], parties: &[&str]) -> Result<String, AccessError> {
+        let (path, root, router) = (Path::new("a.pem"), root(), "router.north".parse().unwrap());
+        let parties: Vec<Party> = parties.iter().map(|party| party.parse().unwrap()).collect();
+        let plan = RouterPlan {
+            root: &root,
+            router: &router,
+            listen,
+            connect,
+            certificate: path,
+            key: path,
+            authority: path,
+            parties: &parties,
+        };
+        router_file(&plan)
+    }
+
+    fn config(text: &str) -> Value {
+        let json: String = text.lines().filter(|line| !line.starts_with("//")).collect();
+        serde_json::from_str(&json).unwrap()
+    }
+
+    #[test]
+    fn routers_of_a_site_pass_on_to_each_other_and_a_router_alone_admits_none() {
+        let (listen, other) = (["quic/10.0.0.5:7447".to_owned()], ["quic/10.0.0.6:7447".to_owned()]);
+        let parties = ["router.north", "router.south", "viewer.ada", "database.main"];
+        let joined = config(&written(&listen, &other, &parties).unwrap());
+        assert_eq!(joined["connect"]["endpoints"], json!(["quic/10.0.0.6:7447?multistream=0"]));
+        let names = |config: &Value| -> Vec<Value> {
+            let subjects = config["access_control"]["subjects"].as_array().unwrap().clone();
+            subjects.into_iter().map(|subject| subject["cert_common_names"].clone()).collect()
+        };
+        assert_eq!(names(&joined), [json!(["router.south"]), json!(["viewer.ada"])], "and no database");
+        let rule = &joined["access_control"]["rules"][1];
+        assert_eq!((&rule["id"], &rule["flows"]), (&json!("between routers"), &json!(["ingress", "egress"])));
+        assert!(!rule["messages"].as_array().unwrap().contains(&json!("delete")), "nobody may delete");
+        let alone = config(&written(&listen, &[], &["router.north", "viewer.ada"]).unwrap());
+        assert_eq!(names(&alone), [json!(["viewer.ada"])]);
+        assert!(alone.get("connect").is_none());
     }
 }

@@ -119,9 +119,9 @@ impl SiteFolder {
     ///
     /// # Errors
     /// A certificate that is there already, unless it is to be replaced; an authority that cannot be used or is over; a
-    /// router without hosts; a file that cannot be written.
+    /// router or database without hosts; a file that cannot be written.
     pub fn issue(&self, party: &Party, hosts: &[String], days: u32, existing: Existing) -> Result<Issued, AccessError> {
-        if party.role() == Role::Router && hosts.is_empty() {
+        if matches!(party.role(), Role::Router | Role::Database) && hosts.is_empty() {
             return Err(AccessError::NoHost { role: party.role() });
         }
         let (issuer, authority_expires) = self.issuer()?;

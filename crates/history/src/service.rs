@@ -133,6 +133,9 @@ impl HistoryService {
         for (structure, keys) in structures {
             service.listen(structure, keys, bus).await?;
         }
+        if address.believes_the_network() {
+            warn!(database = %address, "the server need not show who it is: sslmode=verify-full asks it to");
+        }
         info!(database = %address, structures = structures.len(), "history ready");
         Ok(service)
     }

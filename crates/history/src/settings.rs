@@ -2,6 +2,8 @@
 
 use crate::error::HistoryError;
 use serde::Deserialize;
+use spandrel_bus::is_loopback;
+use sqlx::postgres::{PgConnectOptions, PgSslMode};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -81,12 +83,23 @@ impl Address {
             Self::Postgres(url) => url.clone(),
         }
     }
+
+    /// Whether it is a server on another machine that need not show who it is: whoever stands in between could read along.
+    pub(crate) fn believes_the_network(&self) -> bool {
+        let Self::Postgres(url) = self else { return false };
+        let Ok(options) = url.parse::<PgConnectOptions>() else { return false };
+        let host = options.get_host();
+        let is_near = options.get_socket().is_some() || host.starts_with('/') || is_loopback(host);
+        !is_near && !matches!(options.get_ssl_mode(), PgSslMode::VerifyCa | PgSslMode::VerifyFull)
+    }
 }
 
-/// Of a URL, all but what stands before the host.
+/// Of a URL, all but what stands before the host, and behind the name of the database, where a password may stand as well.
 fn without_password(text: &str) -> String {
     match (text.split_once("://"), text.rsplit_once('@')) {
-        (Some((scheme, _)), Some((_, host))) => format!("{scheme}://…@{host}"),
+        (Some((scheme, _)), Some((_, host))) => {
+            format!("{scheme}://…@{}", host.split_once('?').map_or(host, |(host, _)| host))
+        }
         _ => text.to_owned(),
     }
 }
@@ -134,8 +147,25 @@ mod tests {
         for text in [address.to_string(), format!("{address:?}")] {
             assert!(!text.contains("s3cr") && text.contains("db.site/history"), "{text}");
         }
+        let late = Address::parse("postgres://spandrel@db.site/history?sslmode=require&password=s3cr3t").unwrap();
+        assert!(!late.to_string().contains("s3cr3t"), "{late}");
         let refused = Address::parse("mysql://root:secret@db/history").unwrap_err().to_string();
         assert!(!refused.contains("secret") && refused.contains("mysql"), "{refused}");
+    }
+
+    #[test]
+    fn a_server_elsewhere_that_need_not_show_who_it_is_is_known() {
+        for (text, expected) in [
+            ("postgres://spandrel@db.site/history", true),
+            ("postgres://spandrel@10.0.0.21/history?sslmode=require", true),
+            ("postgres://spandrel@10.0.0.21/history?sslmode=verify-full", false),
+            ("postgres://spandrel@127.0.0.1/history", false),
+            ("postgres://spandrel@localhost/history", false),
+            ("postgres://spandrel@%2Frun%2Fpostgresql/history", false),
+            ("history.sqlite", false),
+        ] {
+            assert_eq!(Address::parse(text).unwrap().believes_the_network(), expected, "{text}");
+        }
     }
 
     #[test]

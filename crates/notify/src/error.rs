@@ -26,6 +26,9 @@ pub enum NotifyError {
         /// What the system says.
         source: std::io::Error,
     },
+    /// What is to be remembered cannot be kept.
+    #[error(transparent)]
+    Checkpoint(#[from] spandrel_checkpoint::CheckpointError),
     /// The bus refuses.
     #[error(transparent)]
     Bus(#[from] BusError),

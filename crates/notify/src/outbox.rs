@@ -1,23 +1,26 @@
 //! What has to be sent to whom, and when: pure, time is an input.
 
-use spandrel_bus::{AlertMessage, AlertState};
-use std::collections::{BTreeMap, VecDeque};
+use serde::{Deserialize, Serialize};
+use spandrel_bus::{AlertMessage, AlertState, Name};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 /// Notices that wait for one receiver at most; the oldest make room and are counted.
 const MOST_WAITING: usize = 1_000;
-/// Keys remembered, so that what comes again is not sent again.
-const KEYS_REMEMBERED: usize = 10_000;
+/// Keys remembered of a structure, so that what comes again is not sent again: more than the alert service tells when it is asked.
+const KEYS_REMEMBERED: usize = 1_000;
 /// Time until a notice that failed is sent again: doubled each time, from this to that.
 const RETRY_AFTER: (Duration, Duration) = (Duration::from_secs(2), Duration::from_secs(300));
 /// A notice that could not be sent for so long is given up.
-const GIVE_UP_AFTER: Duration = Duration::from_secs(24 * 3_600);
+pub(crate) const GIVE_UP_AFTER: Duration = Duration::from_secs(24 * 3_600);
 /// How often an alert that stands is told again to receivers that want that.
 const REPEAT_EVERY: Duration = Duration::from_secs(60);
 
 /// What one receiver wants.
 #[derive(Clone, Debug)]
 pub(crate) struct Wish {
+    /// Who it is from one start to the next; no secret.
+    pub(crate) name: String,
     pub(crate) states: Vec<AlertState>,
     /// Whether alerts that stand are told again and again.
     pub(crate) repeats: bool,
@@ -38,6 +41,14 @@ struct Waiting {
     since: Duration,
     due: Duration,
     retry_after: Duration,
+    /// Told before, and told again because it stands: not worth remembering.
+    is_repeated: bool,
+}
+
+impl Waiting {
+    fn new(notice: Notice, since: Duration, now: Duration) -> Self {
+        Self { notice, since, due: now, retry_after: RETRY_AFTER.0, is_repeated: false }
+    }
 }
 
 /// What waits for one receiver, in order.
@@ -47,14 +58,47 @@ struct Receiver {
     waiting: VecDeque<Waiting>,
     is_sending: bool,
     /// Alerts that stand, with the time of their next repetition.
-    standing: BTreeMap<(String, String), (AlertMessage, Duration)>,
+    standing: BTreeMap<Subject, (AlertMessage, Duration)>,
+}
+
+/// What an alert is of: structure and parameter.
+type Subject = (Name, Name);
+
+/// What is remembered of the notices of one structure.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Remembered {
+    /// Keys of changes that need not be taken again, oldest first.
+    keys: Vec<String>,
+    /// How each alert stood last.
+    last: Vec<AlertMessage>,
+    /// What has not been delivered, in the order in which it is to be.
+    waiting: Vec<Undelivered>,
+}
+
+/// One alert that one receiver does not have yet.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Undelivered {
+    receiver: String,
+    alert: AlertMessage,
+    /// How long it had waited when this was written (s).
+    age_s: u64,
+}
+
+impl Remembered {
+    /// Notices that wait.
+    pub(crate) fn waiting(&self) -> usize {
+        self.waiting.len()
+    }
 }
 
 /// What waits for everybody.
 #[derive(Debug)]
 pub(crate) struct Outbox {
     boxes: Vec<Receiver>,
-    known: VecDeque<String>,
+    known: BTreeMap<Name, VecDeque<String>>,
+    last: BTreeMap<Subject, AlertMessage>,
+    /// Structures of which something has changed that is to be remembered.
+    changed: BTreeSet<Name>,
     pub(crate) sent: u64,
     pub(crate) failures: u64,
     pub(crate) given_up: u64,
@@ -65,12 +109,22 @@ fn key(alert: &AlertMessage) -> String {
     format!("{}/{}/{}/{}", alert.structure, alert.parameter, alert.time_ns, alert.state.as_str())
 }
 
+fn subject(alert: &AlertMessage) -> Subject {
+    (alert.structure.clone(), alert.parameter.clone())
+}
+
+fn stands(alert: &AlertMessage) -> bool {
+    matches!(alert.state, AlertState::Raised | AlertState::Acknowledged)
+}
+
 impl Outbox {
     pub(crate) fn new(wishes: Vec<Wish>) -> Self {
         let empty = |wish| Receiver { wish, waiting: VecDeque::new(), is_sending: false, standing: BTreeMap::new() };
         Self {
             boxes: wishes.into_iter().map(empty).collect(),
-            known: VecDeque::new(),
+            known: BTreeMap::new(),
+            last: BTreeMap::new(),
+            changed: BTreeSet::new(),
             sent: 0,
             failures: 0,
             given_up: 0,
@@ -79,32 +133,99 @@ impl Outbox {
 
     /// Takes an alert; one that was taken before changes nothing.
     pub(crate) fn take(&mut self, alert: &AlertMessage, now: Duration) {
-        let key = key(alert);
-        if self.known.contains(&key) {
-            return;
-        }
-        self.known.push_back(key.clone());
-        if self.known.len() > KEYS_REMEMBERED {
-            self.known.pop_front();
+        let Some(key) = self.learn(alert) else { return };
+        let of = subject(alert);
+        // of changes that were missed, one may be told after a later one
+        let is_latest = self.last.get(&of).is_none_or(|last| last.time_ns <= alert.time_ns);
+        if is_latest {
+            self.last.insert(of.clone(), alert.clone());
         }
         for (receiver, place) in self.boxes.iter_mut().enumerate() {
-            let of = (alert.structure.to_string(), alert.parameter.to_string());
-            // what is over stands no longer, whoever wants to know of it
-            place.standing.remove(&of);
-            if !place.wish.states.contains(&alert.state) {
-                continue;
+            let is_wished = place.wish.states.contains(&alert.state);
+            if is_latest {
+                // what is over stands no longer, whoever wants to know of it
+                place.standing.remove(&of);
+                if place.wish.repeats && is_wished && stands(alert) {
+                    place.standing.insert(of.clone(), (alert.clone(), now + REPEAT_EVERY));
+                }
             }
-            if place.wish.repeats && matches!(alert.state, AlertState::Raised | AlertState::Acknowledged) {
-                place.standing.insert(of, (alert.clone(), now + REPEAT_EVERY));
-            }
-            let notice = Notice { receiver, key: key.clone(), alert: alert.clone() };
-            place.waiting.push_back(Waiting { notice, since: now, due: now, retry_after: RETRY_AFTER.0 });
-            if place.waiting.len() > MOST_WAITING {
-                // one that is being sent stays the first
-                place.waiting.remove(usize::from(place.is_sending));
-                self.given_up += 1;
+            if is_wished {
+                let notice = Notice { receiver, key: key.clone(), alert: alert.clone() };
+                place.waiting.push_back(Waiting::new(notice, now, now));
+                if place.waiting.len() > MOST_WAITING {
+                    // one that is being sent stays the first
+                    let lost = place.waiting.remove(usize::from(place.is_sending));
+                    self.changed.extend(lost.map(|lost| lost.notice.alert.structure));
+                    self.given_up += 1;
+                }
             }
         }
+    }
+
+    /// Takes note of an alert that need not be told; returns its key if it is new.
+    pub(crate) fn learn(&mut self, alert: &AlertMessage) -> Option<String> {
+        let key = key(alert);
+        let known = self.known.entry(alert.structure.clone()).or_default();
+        if known.contains(&key) {
+            return None;
+        }
+        known.push_back(key.clone());
+        if known.len() > KEYS_REMEMBERED {
+            known.pop_front();
+        }
+        self.changed.insert(alert.structure.clone());
+        Some(key)
+    }
+
+    /// The structures of which something has changed since this was last called.
+    pub(crate) fn take_changed(&mut self) -> BTreeSet<Name> {
+        std::mem::take(&mut self.changed)
+    }
+
+    /// What is to be remembered of a structure.
+    pub(crate) fn remembered(&self, structure: &Name, now: Duration) -> Remembered {
+        let of_structure = |waiting: &&Waiting| waiting.notice.alert.structure == *structure && !waiting.is_repeated;
+        let undelivered = |place: &Receiver| -> Vec<Undelivered> {
+            let own = place.waiting.iter().filter(of_structure);
+            own.map(|waiting| Undelivered {
+                receiver: place.wish.name.clone(),
+                alert: waiting.notice.alert.clone(),
+                age_s: now.saturating_sub(waiting.since).as_secs(),
+            })
+            .collect()
+        };
+        Remembered {
+            keys: self.known.get(structure).into_iter().flatten().cloned().collect(),
+            last: self.last.iter().filter(|(of, _)| of.0 == *structure).map(|(_, alert)| alert.clone()).collect(),
+            waiting: self.boxes.iter().flat_map(undelivered).collect(),
+        }
+    }
+
+    /// Goes on from what an earlier life has remembered of a structure, `away` ago. What is for a receiver that is told no longer, or not
+    /// of such an alert, is given up; returns how many.
+    pub(crate) fn recall(&mut self, structure: &Name, remembered: Remembered, now: Duration, away: Duration) -> usize {
+        let Remembered { keys, last, waiting } = remembered;
+        self.known.insert(structure.clone(), keys.into());
+        for alert in last {
+            for place in &mut self.boxes {
+                if place.wish.repeats && stands(&alert) && place.wish.states.contains(&alert.state) {
+                    place.standing.insert(subject(&alert), (alert.clone(), now));
+                }
+            }
+            self.last.insert(subject(&alert), alert);
+        }
+        let mut lost = 0;
+        for Undelivered { receiver: name, alert, age_s } in waiting {
+            let wants = |place: &Receiver| place.wish.name == name && place.wish.states.contains(&alert.state);
+            let Some((receiver, place)) = self.boxes.iter_mut().enumerate().find(|(_, place)| wants(place)) else {
+                lost += 1;
+                continue;
+            };
+            let since = now.saturating_sub(Duration::from_secs(age_s) + away);
+            place.waiting.push_back(Waiting::new(Notice { receiver, key: key(&alert), alert }, since, now));
+        }
+        self.given_up += lost as u64;
+        lost
     }
 
     /// What is to be sent now: of each receiver the oldest, so that it hears everything in order.
@@ -115,7 +236,7 @@ impl Outbox {
                 for (alert, next) in place.standing.values_mut().filter(|(_, next)| *next <= now) {
                     *next = now + REPEAT_EVERY;
                     let notice = Notice { receiver, key: key(alert), alert: alert.clone() };
-                    place.waiting.push_back(Waiting { notice, since: now, due: now, retry_after: RETRY_AFTER.0 });
+                    place.waiting.push_back(Waiting { is_repeated: true, ..Waiting::new(notice, now, now) });
                 }
             }
             if place.is_sending {
@@ -134,19 +255,19 @@ impl Outbox {
         let Some(place) = self.boxes.get_mut(receiver) else { return };
         place.is_sending = false;
         if is_sent {
-            place.waiting.pop_front();
             self.sent += 1;
-            return;
-        }
-        self.failures += 1;
-        let Some(first) = place.waiting.front_mut() else { return };
-        if now.saturating_sub(first.since) > GIVE_UP_AFTER {
-            place.waiting.pop_front();
+        } else {
+            self.failures += 1;
+            let Some(first) = place.waiting.front_mut() else { return };
+            if now.saturating_sub(first.since) <= GIVE_UP_AFTER {
+                first.due = now + first.retry_after;
+                first.retry_after = (2 * first.retry_after).min(RETRY_AFTER.1);
+                return;
+            }
             self.given_up += 1;
-            return;
         }
-        first.due = now + first.retry_after;
-        first.retry_after = (2 * first.retry_after).min(RETRY_AFTER.1);
+        let done = place.waiting.pop_front().filter(|done| !done.is_repeated);
+        self.changed.extend(done.map(|done| done.notice.alert.structure));
     }
 
     /// Notices that wait.
@@ -166,7 +287,8 @@ mod tests {
 
     fn outbox(repeats: bool) -> Outbox {
         let states = vec![AlertState::Raised, AlertState::Cleared];
-        Outbox::new(vec![Wish { states, repeats }, Wish { states: vec![AlertState::Acknowledged], repeats: false }])
+        let wish = |name: &str, states, repeats| Wish { name: name.to_owned(), states, repeats };
+        Outbox::new(vec![wish("hook", states, repeats), wish("mail", vec![AlertState::Acknowledged], false)])
     }
 
     #[test]
@@ -242,5 +364,92 @@ mod tests {
             outbox.take(&alert(second, AlertState::Raised), s(0));
         }
         assert_eq!((outbox.waiting(), outbox.given_up), (MOST_WAITING, 4_000));
+    }
+
+    #[test]
+    fn another_life_goes_on_with_what_was_not_delivered_and_tells_nothing_twice() {
+        let mut first = outbox(false);
+        for (second, state) in [(20, AlertState::Raised), (30, AlertState::Cleared), (40, AlertState::Raised)] {
+            first.take(&alert(second, state), s(0));
+        }
+        let told = first.due(s(0)).remove(0);
+        first.done(0, true, s(1));
+        let house = alert(20, AlertState::Raised).structure;
+        assert_eq!(first.take_changed().into_iter().collect::<Vec<_>>(), std::slice::from_ref(&house));
+        let remembered = first.remembered(&house, s(10));
+        assert_eq!(remembered.waiting(), 2);
+
+        let mut second = outbox(false);
+        assert_eq!(second.recall(&house, remembered.clone(), s(100), s(5)), 0);
+        second.take(&told.alert, s(100));
+        let mut keys = Vec::new();
+        while let Some(notice) = second.due(s(100)).pop() {
+            keys.push(notice.key);
+            second.done(0, true, s(100));
+        }
+        assert_eq!(keys, ["house/storey-2/30000000000/cleared", "house/storey-2/40000000000/raised"]);
+        assert_eq!(second.remembered(&house, s(100)).waiting(), 0);
+
+        // a receiver of another name, or one that wants other states, does not get what was for this one
+        let wish = Wish { name: "another".to_owned(), states: vec![AlertState::Raised], repeats: false };
+        let mut other = Outbox::new(vec![wish]);
+        assert_eq!((other.recall(&house, remembered, s(0), s(0)), other.waiting(), other.given_up), (2, 0, 2));
+    }
+
+    #[test]
+    fn an_alert_that_stood_is_repeated_in_the_next_life_and_repetitions_are_not_remembered() {
+        let mut first = outbox(true);
+        first.take(&alert(20, AlertState::Raised), s(0));
+        first.due(s(0));
+        first.done(0, true, s(0));
+        first.take_changed();
+        assert_eq!(first.due(s(60)).len(), 1);
+        let house = alert(20, AlertState::Raised).structure;
+        let remembered = first.remembered(&house, s(60));
+        assert_eq!(remembered.waiting(), 0);
+        first.done(0, true, s(60));
+        assert!(first.take_changed().is_empty());
+
+        let mut second = outbox(true);
+        second.recall(&house, remembered, s(0), s(0));
+        assert_eq!(second.due(s(0)).len(), 1, "it stands");
+        second.done(0, true, s(0));
+        second.take(&alert(50, AlertState::Cleared), s(1));
+        assert_eq!(second.due(s(1))[0].alert.state, AlertState::Cleared);
+        second.done(0, true, s(1));
+        // a change that was missed, and is heard late, does not make it stand again
+        second.take(&alert(30, AlertState::Raised), s(2));
+        second.due(s(2));
+        second.done(0, true, s(2));
+        assert_eq!(second.due(s(200)), []);
+    }
+
+    #[test]
+    fn time_away_counts_until_a_notice_is_given_up() {
+        let mut first = outbox(false);
+        first.take(&alert(20, AlertState::Raised), s(0));
+        let house = alert(20, AlertState::Raised).structure;
+        let (start, day) = (GIVE_UP_AFTER, GIVE_UP_AFTER);
+        let mut second = outbox(false);
+        second.recall(&house, first.remembered(&house, s(3_600)), start, day - s(3_600));
+        assert_eq!(second.due(start).len(), 1);
+        second.done(0, false, start);
+        assert_eq!(second.waiting(), 1, "exactly a day");
+        assert_eq!(second.due(start + s(2)).len(), 1);
+        second.done(0, false, start + s(2));
+        assert_eq!((second.waiting(), second.given_up), (0, 1));
+    }
+
+    #[test]
+    fn what_is_remembered_is_bounded() {
+        let mut outbox = outbox(false);
+        for second in 0..5_000 {
+            outbox.take(&alert(second, AlertState::Raised), s(0));
+        }
+        let remembered = outbox.remembered(&alert(0, AlertState::Raised).structure, s(0));
+        assert_eq!(
+            (remembered.keys.len(), remembered.waiting(), remembered.last.len()),
+            (KEYS_REMEMBERED, MOST_WAITING, 1)
+        );
     }
 }

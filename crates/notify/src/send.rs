@@ -8,6 +8,7 @@ use lettre::message::Mailbox;
 use lettre::message::header::ContentType;
 use lettre::transport::smtp::authentication::Credentials;
 use lettre::{Message, SmtpTransport, Transport};
+use spandrel_bus::AlertState;
 use std::time::Duration;
 
 /// Time for a receiver to answer.
@@ -16,7 +17,7 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(15);
 /// Somebody who can be told.
 pub(crate) enum Receiver {
     Webhook { agent: ureq::Agent, webhook: Webhook, authorization: Option<String> },
-    Email { transport: Box<SmtpTransport>, from: Mailbox, to: Vec<Mailbox>, wish: Wish },
+    Email { transport: Box<SmtpTransport>, from: Mailbox, to: Vec<Mailbox>, states: Vec<AlertState> },
 }
 
 /// All receivers of the settings, which have been checked.
@@ -64,17 +65,19 @@ fn by_mail(email: &Email, index: usize) -> Result<Receiver, NotifyError> {
         transport: Box::new(builder.build()),
         from: mailbox(&email.from)?,
         to: email.to.iter().map(mailbox).collect::<Result<_, _>>()?,
-        wish: Wish { states: email.states.clone(), repeats: false },
+        states: email.states.clone(),
     })
 }
 
 impl Receiver {
-    pub(crate) fn wish(&self) -> Wish {
+    /// What it wants, under a name.
+    pub(crate) fn wish(&self, name: String) -> Wish {
         match self {
             Self::Webhook { webhook, .. } => {
-                Wish { states: webhook.states.clone(), repeats: webhook.format == WebhookFormat::Alertmanager }
+                let repeats = webhook.format == WebhookFormat::Alertmanager;
+                Wish { name, states: webhook.states.clone(), repeats }
             }
-            Self::Email { wish, .. } => wish.clone(),
+            Self::Email { states, .. } => Wish { name, states: states.clone(), repeats: false },
         }
     }
 

@@ -1,17 +1,20 @@
 //! Joins the outbox to the bus and to the receivers.
 
 use crate::error::NotifyError;
-use crate::outbox::Outbox;
+use crate::memory::Memory;
+use crate::outbox::{GIVE_UP_AFTER, Outbox, Remembered, Wish};
 use crate::send::{Receiver, receivers};
 use crate::settings::NotifySettings;
 use spandrel_bus::{
-    AlertMessage, Bus, BusError, DisplayPublisher, Keys, LiveToken, LiveWatch, Name, Service, Status, Subscription,
+    AlertMessage, Bus, BusError, DisplayPublisher, HistoryLog, Keys, LiveToken, LiveWatch, Name, Service, Status,
+    Subscription,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
-use tokio::task::JoinSet;
+use tokio::task::{JoinError, JoinSet};
 use tracing::{info, warn};
 
 /// How often it is looked what is due.
@@ -31,9 +34,34 @@ pub struct NotifyService {
     receivers: Vec<Arc<Receiver>>,
     outbox: Outbox,
     bus: Bus,
-    asked: JoinSet<Result<Vec<(String, AlertMessage)>, BusError>>,
+    asked: JoinSet<Result<Told, BusError>>,
+    clock: Clock,
     service: Name,
     id: Name,
+}
+
+/// What an alert service says when it is asked.
+struct Told {
+    structure: Name,
+    /// Its last changes, oldest first.
+    log: Vec<AlertMessage>,
+    /// How each alert stands.
+    standing: Vec<AlertMessage>,
+}
+
+/// The time that the outbox knows: it goes on evenly, and has begun long enough ago for what an earlier life has left.
+struct Clock(Instant);
+
+impl Clock {
+    fn new() -> Self {
+        #[expect(clippy::disallowed_methods, reason = "when a notice is sent again goes by the clock of the machine")]
+        let start = Instant::now();
+        Self(start)
+    }
+
+    fn now(&self) -> Duration {
+        GIVE_UP_AFTER + self.0.elapsed()
+    }
 }
 
 struct Source {
@@ -44,15 +72,19 @@ struct Source {
     status: DisplayPublisher<Status>,
     token: LiveToken,
     taken: u64,
+    memory: Option<Memory>,
+    /// Whether an earlier life, or an earlier answer, has told how the alerts stood.
+    has_heard: bool,
 }
 
 impl NotifyService {
-    /// Checks the settings, listens to the bus and shows liveliness tokens; `id` names this instance.
+    /// Checks the settings, goes on from what is remembered, listens to the bus and shows liveliness tokens; `id` names this
+    /// instance. Each structure comes with the folder of its checkpoints, or without where nothing is to outlive the process.
     ///
     /// # Errors
-    /// When a setting cannot be used, or the bus refuses a declaration.
+    /// When a setting cannot be used, a folder cannot be written, or the bus refuses a declaration.
     pub async fn start(
-        structures: &[Keys],
+        structures: &[(Keys, Option<PathBuf>)],
         bus: &Bus,
         settings: &NotifySettings,
         id: Name,
@@ -60,15 +92,22 @@ impl NotifyService {
         settings.check()?;
         let receivers: Vec<Arc<Receiver>> = receivers(settings)?.into_iter().map(Arc::new).collect();
         let mut service = Self {
-            outbox: Outbox::new(receivers.iter().map(|receiver| receiver.wish()).collect()),
+            outbox: Outbox::new(wishes(&receivers)),
             sources: Vec::new(),
             receivers,
             bus: bus.clone(),
             asked: JoinSet::new(),
+            clock: Clock::new(),
             service: Name::new(Service::Notify.as_str())?,
             id,
         };
-        for keys in structures {
+        for (keys, folder) in structures {
+            let memory = folder.as_ref().map(|folder| Memory::open(folder, keys.structure())).transpose()?;
+            let (memory, recalled) = memory.map_or((None, None), |(memory, recalled)| (Some(memory), recalled));
+            let has_heard = recalled.is_some();
+            if let Some((remembered, away)) = recalled {
+                service.recall(keys.structure(), remembered, away);
+            }
             service.sources.push(Source {
                 alerts: bus.subscribe(keys.all_alerts(), ALERTS_WAITING).await?,
                 alert_services: bus.watch_live(keys.all_live(Service::Alert)).await?,
@@ -77,11 +116,21 @@ impl NotifyService {
                 token: bus.announce(keys.live(Service::Notify, &service.id)).await?,
                 keys: keys.clone(),
                 taken: 0,
+                memory,
+                has_heard,
             });
         }
         let shown: Vec<String> = service.receivers.iter().map(|receiver| receiver.shown()).collect();
         info!(receivers = shown.join("; "), structures = structures.len(), "notices ready");
         Ok(service)
+    }
+
+    fn recall(&mut self, structure: &Name, remembered: Remembered, away: Duration) {
+        let lost = self.outbox.recall(structure, remembered, self.clock.now(), away);
+        if lost > 0 {
+            let structure = structure.as_str();
+            warn!(structure, notices = lost, "given up: their receivers are not in the configuration any more");
+        }
     }
 
     /// Runs until `stop`; what is being sent by then is given time.
@@ -94,10 +143,15 @@ impl NotifyService {
             told = self.tell(&mut sending) => told,
             () = stop => Ok(()),
         };
-        let all = async { while sending.join_next().await.is_some() {} };
+        let all = async {
+            while let Some(ended) = sending.join_next().await {
+                self.ended(ended);
+            }
+        };
         let is_late = tokio::time::timeout(END_WITHIN, all).await.is_err();
+        self.keep();
         if is_late || self.outbox.waiting() > 0 {
-            warn!(waiting = self.outbox.waiting(), "not all notices have been sent");
+            warn!(waiting = self.outbox.waiting(), "not all notices have been sent; what is remembered is sent later");
         }
         for source in self.sources {
             source.token.withdraw().await?;
@@ -106,23 +160,18 @@ impl NotifyService {
     }
 
     async fn tell(&mut self, sending: &mut JoinSet<(usize, Result<(), String>)>) -> Result<(), NotifyError> {
-        #[expect(clippy::disallowed_methods, reason = "when a notice is sent again goes by the clock of the machine")]
-        let start = Instant::now();
         let mut look = tokio::time::interval(LOOK_EVERY);
         let mut status = tokio::time::interval(STATUS_EVERY);
         loop {
             tokio::select! {
                 _ = look.tick() => {}
                 _ = status.tick() => self.put_status().await?,
-                Some(ended) = sending.join_next() => {
-                    // a notice whose sending panicked counts as failed
-                    if let Ok((receiver, result)) = ended {
-                        self.ended(receiver, result, start.elapsed());
-                    }
-                }
+                Some(ended) = sending.join_next() => self.ended(ended),
             }
-            self.take(start.elapsed());
-            for notice in self.outbox.due(start.elapsed()) {
+            self.take();
+            // before the first attempt, so that whatever comes of it a later one has the same key
+            self.keep();
+            for notice in self.outbox.due(self.clock.now()) {
                 let Some(receiver) = self.receivers.get(notice.receiver).cloned() else { continue };
                 sending.spawn(async move {
                     let number = notice.receiver;
@@ -133,7 +182,9 @@ impl NotifyService {
         }
     }
 
-    fn ended(&mut self, receiver: usize, result: Result<(), String>, now: Duration) {
+    /// Takes how an attempt went; one that panicked outside of its sending has nothing to say.
+    fn ended(&mut self, ended: Result<(usize, Result<(), String>), JoinError>) {
+        let Ok((receiver, result)) = ended else { return };
         let shown = self.receivers.get(receiver).map(|receiver| receiver.shown()).unwrap_or_default();
         match &result {
             Ok(()) => info!(receiver = shown, "alert told"),
@@ -142,10 +193,11 @@ impl NotifyService {
             }
             Err(_) => {}
         }
-        self.outbox.done(receiver, result.is_ok(), now);
+        self.outbox.done(receiver, result.is_ok(), self.clock.now());
     }
 
-    fn take(&mut self, now: Duration) {
+    fn take(&mut self) {
+        let now = self.clock.now();
         for source in &mut self.sources {
             let root = source.keys.root();
             let in_place = source
@@ -155,19 +207,46 @@ impl NotifyService {
                 source.taken += 1;
                 self.outbox.take(&alert, now);
             }
-            // an alert that was raised while nobody listened is told by whoever decided it
+            // what was decided while nobody listened is told by whoever decided it
             let present = source.alert_services.present();
             if present.difference(&source.present).next().is_some() {
-                let (bus, alerts) = (self.bus.clone(), source.keys.all_alerts());
-                self.asked.spawn(async move { bus.ask(&alerts, ANSWER_WITHIN).await });
+                self.asked.spawn(ask(self.bus.clone(), source.keys.clone()));
             }
             source.present = present;
         }
         while let Some(answer) = self.asked.try_join_next() {
             match answer {
-                Ok(Ok(alerts)) => alerts.iter().for_each(|(_, alert)| self.outbox.take(alert, now)),
+                Ok(Ok(told)) => self.catch_up(&told, now),
                 Ok(Err(error)) => warn!(%error, "cannot ask how the alerts stand"),
                 Err(error) => warn!(%error, "question how the alerts stand is lost"),
+            }
+        }
+    }
+
+    /// Takes what was missed. At the first start of all it is told how the alerts stand, and not what was before.
+    fn catch_up(&mut self, told: &Told, now: Duration) {
+        let Told { structure, log, standing } = told;
+        let Some(source) = self.sources.iter_mut().find(|source| source.keys.structure() == structure) else { return };
+        if source.has_heard {
+            log.iter().for_each(|alert| self.outbox.take(alert, now));
+        } else {
+            let is_past = |alert: &&AlertMessage| !standing.contains(alert);
+            log.iter().filter(is_past).for_each(|alert| drop(self.outbox.learn(alert)));
+        }
+        standing.iter().for_each(|alert| self.outbox.take(alert, now));
+        // a service that did not answer in time has told nothing
+        source.has_heard |= !standing.is_empty();
+    }
+
+    /// Writes what has changed to the disk.
+    fn keep(&mut self) {
+        let now = self.clock.now();
+        for structure in self.outbox.take_changed() {
+            let of_structure = |source: &&mut Source| *source.keys.structure() == structure;
+            let memory = self.sources.iter_mut().find(of_structure).and_then(|source| source.memory.as_mut());
+            if let Some(memory) = memory {
+                let remembered = self.outbox.remembered(&structure, now);
+                tokio::task::block_in_place(|| memory.keep(remembered));
             }
         }
     }
@@ -199,4 +278,32 @@ impl NotifyService {
         }
         Ok(())
     }
+}
+
+/// Asks an alert service for its last changes, and how its alerts stand.
+async fn ask(bus: Bus, keys: Keys) -> Result<Told, BusError> {
+    let log = bus.ask::<HistoryLog>(&keys.alert_log(), ANSWER_WITHIN).await.unwrap_or_else(|error| {
+        warn!(%error, "cannot ask for the last changes of alerts");
+        Vec::new()
+    });
+    let standing = bus.ask::<AlertMessage>(&keys.all_alerts(), ANSWER_WITHIN).await?;
+    let structure = keys.structure().clone();
+    let own = |alert: &AlertMessage| alert.structure == structure;
+    Ok(Told {
+        log: log.into_iter().flat_map(|(_, log)| log.alerts).filter(own).collect(),
+        standing: standing.into_iter().map(|(_, alert)| alert).filter(own).collect(),
+        structure: structure.clone(),
+    })
+}
+
+/// What each receiver wants, under a name that it has at the next start as well: what is logged of it, and which of those it is.
+fn wishes(receivers: &[Arc<Receiver>]) -> Vec<Wish> {
+    let mut seen: BTreeMap<String, usize> = BTreeMap::new();
+    let named = |receiver: &Arc<Receiver>| {
+        let shown = receiver.shown();
+        let number = seen.entry(shown.clone()).or_default();
+        *number += 1;
+        receiver.wish(format!("{shown} {number}"))
+    };
+    receivers.iter().map(named).collect()
 }

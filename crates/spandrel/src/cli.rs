@@ -211,12 +211,12 @@ pub enum SiteCommand {
     Issue {
         /// Folder of the site.
         folder: PathBuf,
-        /// What the party is for: router, server, worker, alert, history, notify, dashboard, operator, viewer, gateway,
-        /// node-worker or sensor.
+        /// What the party is for: router, database, server, worker, alert, history, notify, dashboard, operator, viewer,
+        /// gateway, node-worker or sensor.
         role: Role,
         /// Its name: STRUCTURE.NODE of a sensor or node-worker, STRUCTURE of a gateway, any of the others.
         name: String,
-        /// Name or address under which others connect to it; may be repeated. A router needs one.
+        /// Name or address under which others connect to it; may be repeated. A router and a database need one.
         #[arg(long)]
         host: Vec<String>,
         /// For how many days it is valid, at most as long as the authority.
@@ -251,6 +251,9 @@ pub struct SiteRouterArguments {
     /// Endpoint to listen on, such as quic/10.0.0.5:7447; may be repeated.
     #[arg(long, value_name = "ENDPOINT", required = true)]
     pub listen: Vec<String>,
+    /// Endpoint of another router of the site to connect to; may be repeated. Of two routers, one connects to the other.
+    #[arg(long, value_name = "ENDPOINT")]
+    pub connect: Vec<String>,
     /// Name of the router, where several have a certificate.
     #[arg(long, value_name = "NAME")]
     pub router: Option<String>,

@@ -337,7 +337,7 @@ impl Running {
         Ok(())
     }
 
-    /// Starts the notices of all structures.
+    /// Starts the notices of all structures; with `state`, what is not delivered outlives the process.
     ///
     /// # Errors
     /// When they cannot start.
@@ -346,8 +346,10 @@ impl Running {
         bus: &Bus,
         watched: &[Watched],
         settings: &NotifySettings,
+        state: Option<&State>,
     ) -> Result<(), AppError> {
-        let structures: Vec<Keys> = watched.iter().map(|watched| watched.keys.clone()).collect();
+        let folder = |keys: &Keys| state.map(|state| state.remembering(keys).folder);
+        let structures: Vec<_> = watched.iter().map(|watched| (watched.keys.clone(), folder(&watched.keys))).collect();
         let service = NotifyService::start(&structures, bus, settings, Name::new("notify")?).await?;
         let stop = self.notify.stopped();
         self.notify.tasks.spawn(async move { Ok(service.run(stop).await?) });

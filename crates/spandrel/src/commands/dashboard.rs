@@ -7,7 +7,10 @@ use crate::error::AppError;
 use crate::role_check::{Need, Work, check};
 use crate::services::{Running, block_on, interrupted, read_structures};
 use crate::settings::Settings;
+use crate::supervision::{feed_watchdog, tell_systemd};
+use sd_notify::NotifyState;
 use spandrel_bus::Bus;
+use tracing::info;
 
 /// Serves the page until Ctrl-C or SIGTERM.
 ///
@@ -26,10 +29,14 @@ pub fn run(arguments: &RunArguments) -> Result<(), AppError> {
         check(&bus, &config, &work).await?;
         let mut running = Running::new();
         serve_page(&mut running, &bus, &watched, &page, &arguments.page).await?;
+        info!(structures = watched.len(), "ready");
+        tell_systemd(NotifyState::Ready);
         let failed = tokio::select! {
             failed = running.failed() => failed,
             () = interrupted => Ok(()),
+            never = feed_watchdog(None) => never,
         };
+        tell_systemd(NotifyState::Stopping);
         let stopped = running.stop().await;
         bus.close().await?;
         failed.and(stopped)

@@ -5,7 +5,7 @@ use crate::cli::RouterArguments;
 use crate::error::AppError;
 use crate::services::{block_on, interrupted};
 use spandrel_bus::Bus;
-use tracing::info;
+use tracing::{info, warn};
 
 /// Routes until Ctrl-C or SIGTERM.
 ///
@@ -18,6 +18,10 @@ pub fn run(arguments: &RouterArguments) -> Result<(), AppError> {
         print(&format!("router: {}\n", listen.join(" ")))?;
         info!(file = %arguments.file.display(), "ready");
         interrupted.await;
-        Ok(bus.close().await?)
+        // a router that tries to reach another one, and does not, cannot be closed in time; nothing is lost with it
+        if let Err(error) = bus.close().await {
+            warn!(%error, "not all links were closed in order");
+        }
+        Ok(())
     })
 }

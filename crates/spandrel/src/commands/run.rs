@@ -100,7 +100,7 @@ impl Plan {
         }
         settings.notify.check()?;
         let served = if services.dashboard { settings.dashboard.page(page)? } else { None };
-        let remembers = services.ingest || services.identify || services.alert;
+        let remembers = services.ingest || services.identify || services.alert || services.notify;
         let state = if remembers { settings.state.state()? } else { None };
         Ok(Self { settings, watched, served, database, state })
     }
@@ -144,7 +144,7 @@ impl Plan {
             running.start_history(bus, watched, address, &settings.history.keep).await?;
         }
         if services.notify && !settings.notify.is_empty() {
-            running.start_notify(bus, watched, &settings.notify).await?;
+            running.start_notify(bus, watched, &settings.notify, state.as_ref()).await?;
         }
         if services.alert {
             running.start_alert(bus, watched, state.as_ref()).await?;

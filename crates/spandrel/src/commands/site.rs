@@ -85,7 +85,9 @@ fn write_router_file(arguments: &SiteRouterArguments) -> Result<(), AppError> {
     let common_name = router.common_name();
     let text = router_file(&RouterPlan {
         root: &root,
+        router: &router,
         listen: &arguments.listen,
+        connect: &arguments.connect,
         certificate: &at(&format!("{common_name}.pem")),
         key: &at(&format!("{common_name}.key")),
         authority: &at(AUTHORITY_FILE),
@@ -119,7 +121,8 @@ fn check_names(parties: &[Party], structures: &[Structure]) -> Result<(), AppErr
 }
 
 fn summary(output: &Path, parties: &[Party], structures: &[Structure]) -> Result<String, AppError> {
-    let admitted = parties.iter().filter(|party| party.role() != Role::Router).count();
+    let is_on_the_bus = |party: &&Party| !matches!(party.role(), Role::Router | Role::Database);
+    let admitted = parties.iter().filter(is_on_the_bus).count();
     let mut text = format!("{}: {} may connect\n", output.display(), counted(admitted, "party", "parties"));
     for structure in structures {
         let is_a_gateway = |party: &&Party| {
