@@ -1,6 +1,6 @@
 // What is plotted of a structure.
 
-import { COLOURS, DASHES, Plot, css } from "./plot.js";
+import { COLOURS, Plot, css, look } from "./plot.js";
 import { STATES, number, percent, probability, ratio, unit } from "./words.js";
 
 /** Half-widths of the 50, 95 and 99.7 % intervals of a Gaussian, in standard deviations. */
@@ -10,7 +10,7 @@ const HALF_WIDTHS = [
   ["50 %", 0.6745],
 ];
 
-const line = (index, more) => ({ stroke: () => css(COLOURS[index % COLOURS.length]), width: 2, dash: DASHES[index % DASHES.length], ...more });
+const line = (index, more) => ({ stroke: () => css(look(index).colour), width: 2, dash: look(index).dash, ...more });
 const edge = { stroke: "transparent", width: 0 };
 
 /** Mean and bands: data are time, mean, then low and high of each band. */
@@ -199,7 +199,7 @@ export function nodePlot(nodes, points, span) {
     {
       title: "Nodes: distance from the others",
       file: "nodes",
-      legend: nodes.map((name, index) => ({ name, colour: COLOURS[index % COLOURS.length] })),
+      legend: nodes.map((name, index) => ({ name, ...look(index) })),
       unit: "distance (1)",
       names,
       rows: (columns) => aligned(names.map((name) => columns.get(name))),
