@@ -133,7 +133,7 @@ export class Plot {
     const { min, max } = u.scales.x;
     let index = u.cursor.idx ?? null;
     if (index === null) index = direction > 0 ? times.findIndex((time) => time >= min) : times.findLastIndex((time) => time <= max);
-    else index += direction;
+    else index = Math.min(index, times.length) + direction; // what was fetched anew may be shorter
     const time = times[index];
     if (time === undefined || time < min || time > max) return;
     u.setCursor({ left: u.valToPos(time, "x"), top: u.over.clientHeight / 2 }, true, true);
@@ -162,8 +162,10 @@ export class Plot {
 
   #read(index) {
     const data = this.#uplot.data;
-    const at = index ?? lastOf(data);
-    const text = at === null || data[0][at] === undefined ? "" : `${clock(data[0][at])} · ${this.plot.readout(data, at)}`;
+    const last = lastOf(data);
+    // what was fetched anew may have fewer rows than lay under the crosshair
+    const at = last === null ? null : Math.min(index ?? last, last);
+    const text = at === null ? "" : `${clock(data[0][at])} · ${this.plot.readout(data, at)}`;
     setText(this.readout, text);
   }
 
