@@ -6,6 +6,8 @@ import { clock, isWithoutDate, recordTime } from "./words.js";
 /* global uPlot */
 
 const HEIGHT = 220;
+/** Rows for the words of marks. */
+const WORD_ROWS = 4;
 /** A hole in time this many usual steps long is drawn as a hole. */
 const HOLE_STEPS = 8;
 
@@ -32,7 +34,7 @@ export class Plot {
 
   /**
    * `plot`: title, unit, names (series), series and bands of uPlot, rows(columns by name) to its data, readout(data, index) to
-   * a text, marks() to lines: { y, text } or { x, text }, range of the y axis if it is fixed.
+   * a text, marks() to lines: { y, text } or { x, text }, those first whose words count most, range of the y axis if it is fixed.
    */
   constructor(plot, points, span) {
     Object.assign(this, { plot, points, span });
@@ -221,9 +223,10 @@ export class Plot {
       ctx.setLineDash([]);
       [ctx.strokeStyle, ctx.lineWidth] = [css("--card"), 4 * size];
       ctx.strokeText(text, x, y);
-      [ctx.strokeStyle, ctx.lineWidth] = [colour, 1.5 * size];
+      [ctx.strokeStyle, ctx.fillStyle, ctx.lineWidth] = [colour, colour, 1.5 * size];
       ctx.fillText(text, x, y);
     };
+    const words = [];
     for (const mark of this.plot.marks?.() ?? []) {
       const colour = css(mark.colour ?? "--ink-soft");
       ctx.strokeStyle = ctx.fillStyle = colour;
@@ -244,11 +247,18 @@ export class Plot {
         ctx.moveTo(x, bbox.top);
         ctx.lineTo(x, bbox.top + bbox.height);
         ctx.stroke();
+        const width = ctx.measureText(mark.text).width + 4 * size;
         const isRight = x > bbox.left + bbox.width - 90 * size;
-        ctx.textAlign = isRight ? "right" : "left";
-        write(mark.text, x + (isRight ? -4 : 4) * size, bbox.top + 13 * size + 15 * size * (mark.row ?? 0), colour);
-        ctx.textAlign = "left";
+        words.push({ text: mark.text, colour, x: isRight ? x - width : x + 4 * size, width });
       }
+    }
+    // after all lines, and each where it lies on no other; one that has no room is left out, its line says when
+    const rows = Array.from({ length: WORD_ROWS }, () => []);
+    for (const { text, colour, x, width } of words) {
+      const row = rows.findIndex((taken) => taken.every((other) => x + width < other.x || x > other.x + other.width));
+      if (row < 0) continue;
+      rows[row].push({ x, width });
+      write(text, x, bbox.top + (13 + 15 * row) * size, colour);
     }
     ctx.restore();
   }

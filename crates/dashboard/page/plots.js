@@ -10,6 +10,9 @@ const HALF_WIDTHS = [
   ["50 %", 0.6745],
 ];
 
+/** Where marks are dense the words of these are written first. */
+const WORDS_FIRST = ["raised", "acknowledged", "cleared", "pending", "learning", "normal"];
+
 const line = (index, more) => ({ stroke: () => css(look(index).colour), width: 2, dash: look(index).dash, ...more });
 const edge = { stroke: "transparent", width: 0 };
 
@@ -40,7 +43,8 @@ export function parameterPlot(parameter, standing, points, span, id) {
   const marks = () => {
     const { loss, y } = threshold();
     const bound = parameter.stiffness ? [{ y, text: `threshold: ${percent(loss, 0)} lost`, colour: "--alarm" }] : [];
-    return [...bound, ...changes().map((change, index) => ({ x: change.time_ns / 1e9, text: `${STATES[change.state].sign} ${STATES[change.state].word}`, row: index % 4, colour: `--${STATES[change.state].level}` }))];
+    const told = changes().toSorted((a, b) => WORDS_FIRST.indexOf(a.state) - WORDS_FIRST.indexOf(b.state));
+    return [...bound, ...told.map((change) => ({ x: change.time_ns / 1e9, text: `${STATES[change.state].sign} ${STATES[change.state].word}`, colour: `--${STATES[change.state].level}` }))];
   };
   return new Plot(
     {
