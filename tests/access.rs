@@ -11,7 +11,9 @@ use spandrel_access::{Party, Right, is_of_node, rights};
 use spandrel_bus::{AlertMessage, AlertState, Bus, BusError, KeyFamily, Name, Status, TlsConfig};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
+use std::io::{Read as _, Write as _};
 use std::path::Path;
+use std::time::Duration;
 use support::{DEADLINE, Process, Secured, five_storeys, within};
 use zenoh::Session;
 use zenoh::sample::{Sample, SampleKind};
@@ -455,7 +457,7 @@ fn viewer_keys() -> spandrel_bus::Keys {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_alert_arrives_over_the_router() {
-    let parties = ["worker.main", "alert.main", "viewer.ada", "operator.grace", "gateway.demo"];
+    let parties = ["worker.main", "alert.main", "viewer.ada", "operator.grace", "gateway.demo", "dashboard.hall"];
     let site = Secured::new(&five_storeys(), &parties);
     let _router = site.router();
     let viewer = site.join("viewer.ada").await;
@@ -463,10 +465,24 @@ async fn an_alert_arrives_over_the_router() {
     let services = [("worker.main", "ingest"), ("worker.main", "identify"), ("alert.main", "alert")];
     let services = services.map(|(party, service)| Process::start(&mut site.connecting(party, service)));
     services.iter().for_each(|service| service.wait_for_log("ready structures=1"));
+    let page = Process::start(site.connecting("dashboard.hall", "dashboard").args(["--http", "127.0.0.1:0"]));
     let mut simulate = site.connecting("gateway.demo", "simulate");
     let simulation = Process::start(simulate.args(["--speed", "max", "--duration", "120"]));
     let raised = within("alert", next(&alerts, AlertState::Raised)).await;
     assert_eq!(raised.parameter.as_str(), "storey-2");
+
+    // a page that only shows says that it cannot acknowledge; the router would say nothing
+    let refused = within("an answer on a raised alert", async {
+        loop {
+            match acknowledge_on(&page) {
+                (409, _) => tokio::time::sleep(Duration::from_millis(200)).await, // the page has not heard of it yet
+                answer => return answer,
+            }
+        }
+    });
+    let (status, told) = refused.await;
+    assert_eq!(status, 403, "{told}");
+    assert!(told.contains("role dashboard may not acknowledge; roles that may: server, operator"), "{told}");
 
     // an operator is heard
     let operator = site.join("operator.grace").await;
@@ -482,11 +498,29 @@ async fn an_alert_arrives_over_the_router() {
     let acknowledged = within("acknowledged alert", next(&alerts, AlertState::Acknowledged)).await;
     assert_eq!(acknowledged.acknowledged_by.as_deref(), Some("Grace"));
     simulation.wait().expect_code(0);
+    page.stop().expect_code(0);
     for service in services {
         service.stop().expect_code(0);
     }
     viewer.close().await.unwrap();
     operator.close().await.unwrap();
+}
+
+/// Acknowledges the alert of storey 2 on a page; the status and the body of the answer.
+fn acknowledge_on(page: &Process) -> (u16, String) {
+    page.wait_for_output("the address of the page", |said| said.contains("page: http://") && said.contains('\n'));
+    let output = page.output();
+    let address = output.lines().find_map(|line| line.strip_prefix("page: http://")).unwrap().trim_end_matches('/');
+    let body = r#"{"who": "Grace"}"#;
+    let mut stream = std::net::TcpStream::connect(address).unwrap();
+    let head = format!(
+        "POST /api/structures/demo/alerts/storey-2/acknowledge HTTP/1.1\r\nHost: {address}\r\nConnection: close"
+    );
+    let length = body.len();
+    write!(stream, "{head}\r\nContent-Type: application/json\r\nContent-Length: {length}\r\n\r\n{body}").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    (answer.split(' ').nth(1).unwrap().parse().unwrap(), answer)
 }
 
 async fn next(alerts: &spandrel_bus::Subscription<AlertMessage>, state: AlertState) -> AlertMessage {

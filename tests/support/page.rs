@@ -52,6 +52,11 @@ impl Page {
         std::fs::write(file, unpacked.stdout).unwrap();
     }
 
+    /// A file that the commands have left in the folder.
+    pub fn read(&self, name: &str) -> String {
+        std::fs::read_to_string(self.folder.path().join(name)).unwrap()
+    }
+
     /// Runs all commands, each block by a `shell`, and compares what they say. Returns how many blocks of output were compared.
     pub fn follow(&self, shell: impl Fn() -> Command) -> usize {
         let mut services = Services(Vec::new());

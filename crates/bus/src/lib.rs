@@ -27,6 +27,7 @@
 //! - [`Bus`]: the session, and what is declared on it: [`NumberedPublisher`] and [`Stream`] for what must be complete,
 //!   [`DisplayPublisher`] and [`Subscription`] for what people look at, [`LiveToken`] and [`LiveWatch`] for who is
 //!   there, [`ProgressPublisher`] and [`ProgressWatch`] for how far a service has come
+//! - [`Arrivals`]: which values are measured now, and which are read again from the recording (pure, no network)
 //!
 //! The wrong room for a recording on disk, and for anything that decides: here nothing knows what the numbers mean.
 
@@ -39,6 +40,7 @@ mod range;
 mod span;
 
 mod archive;
+mod arrivals;
 mod flood;
 mod follow;
 mod ring;
@@ -61,6 +63,7 @@ mod tls;
 mod testing;
 
 pub use archive::Archive;
+pub use arrivals::Arrivals;
 pub use endpoint::{in_order, is_loopback};
 pub use error::{BusError, ZenohError};
 pub use follow::{Action, Delivery, FollowCounts, Follower, Gap, Silence, Start};

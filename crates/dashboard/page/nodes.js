@@ -9,7 +9,9 @@ export class NodeTable {
   constructor() {
     this.rows = h("tbody");
     const heads = h("tr", {}, HEADS.map((text) => h("th", { scope: "col" }, text)));
-    this.element = h("div", { class: "scroll" }, h("table", { class: "nodes" }, h("thead", {}, heads), this.rows));
+    // what scrolls can be reached by keyboard
+    const scroll = { class: "scroll", tabindex: "0", role: "region", "aria-label": "Nodes" };
+    this.element = h("div", { class: "card" }, h("div", scroll, h("table", { class: "nodes" }, h("thead", {}, heads), this.rows)));
   }
 
   /** `nodes` by name, as the station tells of them; in the order of the structure file. */

@@ -1,7 +1,7 @@
 // All structures, what needs attention first.
 
 import { h, keyed, setText } from "./dom.js";
-import { LEVELS, STATES, duration, lag, percent, place, probability, ratio } from "./words.js";
+import { LEVELS, STATES, duration, lag, percent, place, probability, ratio, time } from "./words.js";
 
 export class OverviewPage {
   constructor(connection) {
@@ -88,7 +88,8 @@ function updateCard({ element, fields, sign, word, sentence, now, stale }, struc
   const troubled = sensors.troubled.length > 0 ? ` – not: ${sensors.troubled.join(", ")}` : "";
   setText(fields.sensors, `${sensors.alive} of ${sensors.total}${troubled}`);
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
-  setText(fields.age, age(structure));
+  // of a record the time says more than the age
+  setText(fields.age, structure.replayed ? `${age(structure)}, measured ${time(structure.time_s)}` : age(structure));
   const at = last && structure.time_s ? `, ${duration(structure.time_s - last.time_s)} before the newest data` : "";
   setText(fields.alert, last ? `${STATES[last.state].sign} ${last.parameter} ${STATES[last.state].word}${at}` : "none");
 }

@@ -1,18 +1,26 @@
 // One plot over time: uPlot with the colours of the page, a shared crosshair, marks, and a file of what is seen.
 
-import { h, setText } from "./dom.js";
-import { clock } from "./words.js";
+import { h, s, setText } from "./dom.js";
+import { clock, isWithoutDate, recordTime } from "./words.js";
 
 /* global uPlot */
 
 const HEIGHT = 220;
+/** Rows for the words of marks. */
+const WORD_ROWS = 4;
 /** A hole in time this many usual steps long is drawn as a hole. */
 const HOLE_STEPS = 8;
 
 /** Colours of lines, far apart for those who tell red from green badly (Okabe and Ito). */
 export const COLOURS = ["--line-1", "--line-2", "--line-3", "--line-4", "--line-5", "--line-6", "--line-7"];
 /** Dashes tell lines apart without colour. */
-export const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3], [4, 4], [14, 4], [1, 5]];
+const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3], [4, 4], [14, 4], [1, 5]];
+
+/** Colour and dash of a line: as many lines as there are pairs of both look different. */
+export function look(index) {
+  const rounds = Math.floor(index / COLOURS.length);
+  return { colour: COLOURS[index % COLOURS.length], dash: DASHES[(index + rounds) % DASHES.length] };
+}
 
 export function css(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -26,15 +34,17 @@ export class Plot {
 
   /**
    * `plot`: title, unit, names (series), series and bands of uPlot, rows(columns by name) to its data, readout(data, index) to
-   * a text, marks() to lines: { y, text } or { x, text }, range of the y axis if it is fixed.
+   * a text, marks() to lines: { y, text } or { x, text }, those first whose words count most, range of the y axis if it is fixed.
    */
   constructor(plot, points, span) {
     Object.assign(this, { plot, points, span });
     this.readout = h("p", { class: "readout" });
     const keys = "arrow keys move the crosshair, with shift the span, plus and minus zoom, home goes back to the newest data";
     this.holder = h("div", { class: "plot-holder", tabindex: "0", role: "application", "aria-label": `${plot.title}: ${keys}`, onkeydown: (event) => this.#key(event) });
-    const legend = (plot.legend ?? []).map(({ name, colour }) => {
-      const key = h("span", { class: "key", "aria-hidden": "true" });
+    const legend = (plot.legend ?? []).map(({ name, colour, dash }) => {
+      // an area, or a line with its dashes
+      const drawn = () => s("svg", { class: "key-line", width: 32, height: 8, "aria-hidden": "true" }, s("line", { x1: 0, y1: 4, x2: 32, y2: 4, "stroke-dasharray": dash.join(" ") }));
+      const key = dash ? drawn() : h("span", { class: "key", "aria-hidden": "true" });
       key.style.setProperty("--key", `var(${colour})`);
       return h("li", {}, key, name);
     });
@@ -125,7 +135,7 @@ export class Plot {
     const { min, max } = u.scales.x;
     let index = u.cursor.idx ?? null;
     if (index === null) index = direction > 0 ? times.findIndex((time) => time >= min) : times.findLastIndex((time) => time <= max);
-    else index += direction;
+    else index = Math.min(index, times.length) + direction; // what was fetched anew may be shorter
     const time = times[index];
     if (time === undefined || time < min || time > max) return;
     u.setCursor({ left: u.valToPos(time, "x"), top: u.over.clientHeight / 2 }, true, true);
@@ -154,8 +164,10 @@ export class Plot {
 
   #read(index) {
     const data = this.#uplot.data;
-    const at = index ?? lastOf(data);
-    const text = at === null || data[0][at] === undefined ? "" : `${clock(data[0][at], 1)} UTC  ${this.plot.readout(data, at)}`;
+    const last = lastOf(data);
+    // what was fetched anew may have fewer rows than lay under the crosshair
+    const at = last === null ? null : Math.min(index ?? last, last);
+    const text = at === null ? "" : `${clock(data[0][at])} · ${this.plot.readout(data, at)}`;
     setText(this.readout, text);
   }
 
@@ -175,7 +187,7 @@ export class Plot {
       cursor: { sync: { key: "span" }, drag: { x: true, y: false, setScale: false }, points: { show: false } },
       scales: { x: { time: true }, y: { range: this.plot.range ?? padded } },
       axes: [
-        { ...axis, space: isNarrow ? 70 : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: "time (UTC)", labelSize: 18 },
+        { ...axis, space: isNarrow ? 70 : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (isWithoutDate(u.scales.x.max) ? "time of the record (h:min:s)" : "time (UTC)"), labelSize: 18 },
         { ...axis, label: this.plot.unit, labelSize: 20, space: 24, size: isNarrow ? 54 : 62, values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? compact(tick)) },
       ],
       series: [{}, ...this.plot.series().map((one) => ({ points: { show: false }, ...one }))],
@@ -205,7 +217,16 @@ export class Plot {
     ctx.clip();
     ctx.font = `${12 * size}px system-ui, sans-serif`;
     ctx.lineWidth = 1.5 * size;
-    [ctx.textAlign, ctx.textBaseline] = ["left", "alphabetic"];
+    [ctx.textAlign, ctx.textBaseline, ctx.lineJoin] = ["left", "alphabetic", "round"];
+    // with a rim, so that it is read across lines and bands
+    const write = (text, x, y, colour) => {
+      ctx.setLineDash([]);
+      [ctx.strokeStyle, ctx.lineWidth] = [css("--card"), 4 * size];
+      ctx.strokeText(text, x, y);
+      [ctx.strokeStyle, ctx.fillStyle, ctx.lineWidth] = [colour, colour, 1.5 * size];
+      ctx.fillText(text, x, y);
+    };
+    const words = [];
     for (const mark of this.plot.marks?.() ?? []) {
       const colour = css(mark.colour ?? "--ink-soft");
       ctx.strokeStyle = ctx.fillStyle = colour;
@@ -216,17 +237,28 @@ export class Plot {
         ctx.moveTo(bbox.left, y);
         ctx.lineTo(bbox.left + bbox.width, y);
         ctx.stroke();
-        ctx.fillText(mark.text, bbox.left + 6 * size, y - 4 * size);
+        // a line near the top has its word below, at the other end than the words of the moments
+        const isHigh = y < bbox.top + 16 * size;
+        ctx.textAlign = isHigh ? "right" : "left";
+        write(mark.text, isHigh ? bbox.left + bbox.width - 6 * size : bbox.left + 6 * size, isHigh ? y + 14 * size : y - 4 * size, colour);
+        ctx.textAlign = "left";
       } else if (mark.x >= u.scales.x.min && mark.x <= u.scales.x.max) {
         const x = u.valToPos(mark.x, "x", true);
         ctx.moveTo(x, bbox.top);
         ctx.lineTo(x, bbox.top + bbox.height);
         ctx.stroke();
+        const width = ctx.measureText(mark.text).width + 4 * size;
         const isRight = x > bbox.left + bbox.width - 90 * size;
-        ctx.textAlign = isRight ? "right" : "left";
-        ctx.fillText(mark.text, x + (isRight ? -4 : 4) * size, bbox.top + 13 * size + 15 * size * (mark.row ?? 0));
-        ctx.textAlign = "left";
+        words.push({ text: mark.text, colour, x: isRight ? x - width : x + 4 * size, width });
       }
+    }
+    // after all lines, and each where it lies on no other; one that has no room is left out, its line says when
+    const rows = Array.from({ length: WORD_ROWS }, () => []);
+    for (const { text, colour, x, width } of words) {
+      const row = rows.findIndex((taken) => taken.every((other) => x + width < other.x || x > other.x + other.width));
+      if (row < 0) continue;
+      rows[row].push({ x, width });
+      write(text, x, bbox.top + (13 + 15 * row) * size, colour);
     }
     ctx.restore();
   }
@@ -259,8 +291,9 @@ function padded(_, least, largest) {
   return [least - room, largest + room];
 }
 
-/** Times of the axis as fine as its steps, the date where it changes. */
+/** Times of the axis as fine as its steps, the date where it changes; of a record without dates those of the record. */
 function timeTicks(splits, step) {
+  if (splits.length > 0 && isWithoutDate(splits.at(-1))) return splits.map((split) => recordTime(split, step >= 1 ? 0 : step >= 0.1 ? 1 : 3));
   let date = "";
   return splits.map((split) => {
     const text = new Date(1000 * split).toISOString();

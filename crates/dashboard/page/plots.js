@@ -1,6 +1,6 @@
 // What is plotted of a structure.
 
-import { COLOURS, DASHES, Plot, css } from "./plot.js";
+import { COLOURS, Plot, css, look } from "./plot.js";
 import { STATES, number, percent, probability, ratio, unit } from "./words.js";
 
 /** Half-widths of the 50, 95 and 99.7 % intervals of a Gaussian, in standard deviations. */
@@ -10,7 +10,10 @@ const HALF_WIDTHS = [
   ["50 %", 0.6745],
 ];
 
-const line = (index, more) => ({ stroke: () => css(COLOURS[index % COLOURS.length]), width: 2, dash: DASHES[index % DASHES.length], ...more });
+/** Where marks are dense the words of these are written first. */
+const WORDS_FIRST = ["raised", "acknowledged", "cleared", "pending", "learning", "normal"];
+
+const line = (index, more) => ({ stroke: () => css(look(index).colour), width: 2, dash: look(index).dash, ...more });
 const edge = { stroke: "transparent", width: 0 };
 
 /** Mean and bands: data are time, mean, then low and high of each band. */
@@ -40,7 +43,8 @@ export function parameterPlot(parameter, standing, points, span, id) {
   const marks = () => {
     const { loss, y } = threshold();
     const bound = parameter.stiffness ? [{ y, text: `threshold: ${percent(loss, 0)} lost`, colour: "--alarm" }] : [];
-    return [...bound, ...changes().map((change, index) => ({ x: change.time_ns / 1e9, text: `${STATES[change.state].sign} ${STATES[change.state].word}`, row: index % 4, colour: `--${STATES[change.state].level}` }))];
+    const told = changes().toSorted((a, b) => WORDS_FIRST.indexOf(a.state) - WORDS_FIRST.indexOf(b.state));
+    return [...bound, ...told.map((change) => ({ x: change.time_ns / 1e9, text: `${STATES[change.state].sign} ${STATES[change.state].word}`, colour: `--${STATES[change.state].level}` }))];
   };
   return new Plot(
     {
@@ -199,7 +203,7 @@ export function nodePlot(nodes, points, span) {
     {
       title: "Nodes: distance from the others",
       file: "nodes",
-      legend: nodes.map((name, index) => ({ name, colour: COLOURS[index % COLOURS.length] })),
+      legend: nodes.map((name, index) => ({ name, ...look(index) })),
       unit: "distance (1)",
       names,
       rows: (columns) => aligned(names.map((name) => columns.get(name))),

@@ -111,7 +111,7 @@ export class StructurePage {
       this.ranges.element,
       group("parameters", "Parameters", "Ratio to the design: 1 is as designed, 0.9 has lost 10 %. Line: estimate; bands: 50, 95 and 99.7 % intervals. Drag across a plot to zoom all of them."),
       group("classes", "Model classes"),
-      group("nodes", "Nodes that identify for themselves", "A node far beyond the dashed limit disagrees with the others."),
+      group("nodes", "Nodes that identify for themselves", "A node far beyond the red dashed limit disagrees with the others."),
       group("agreement", "Model and data"),
       group("outliers", "Outliers"),
       group("innovations", "Innovations", "What was observed less what was predicted, its least and largest value in each interval."),

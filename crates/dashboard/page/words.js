@@ -101,16 +101,30 @@ export function duration(seconds) {
   return `${Math.round(size / 86400)} days`;
 }
 
+/** Whether a time is that of a record that begins at 0. */
+export function isWithoutDate(seconds) {
+  return Math.abs(seconds) < WITHOUT_DATES_BEFORE_S;
+}
+
 /** A time of measurement, UTC as in the sentences of the alerts; of a record without dates the second of the record. */
 export function time(seconds) {
-  if (Math.abs(seconds) < WITHOUT_DATES_BEFORE_S) return `${seconds.toFixed(2)} s`;
+  if (isWithoutDate(seconds)) return `${seconds.toFixed(2)} s`;
   return new Date(1000 * seconds).toISOString().replace("T", " ").replace(/\.\d+Z/, " UTC");
 }
 
-/** The time of day alone. */
-export function clock(seconds, digits = 0) {
-  const text = new Date(1000 * seconds).toISOString();
-  return text.slice(11, digits ? 20 + digits : 19);
+/** The time of day alone; of a record without dates the second of the record. */
+export function clock(seconds) {
+  if (isWithoutDate(seconds)) return time(seconds);
+  return `${new Date(1000 * seconds).toISOString().slice(11, 21)} UTC`;
+}
+
+/** A time of a record without dates, in hours, minutes and seconds: 0:01:30. */
+export function recordTime(seconds, digits = 0) {
+  const unit = 10 ** digits;
+  const size = Math.round(Math.abs(seconds) * unit) / unit;
+  const [hours, minutes] = [Math.floor(size / 3600), Math.floor(size / 60) % 60];
+  const rest = (size % 60).toFixed(digits).padStart(digits ? 3 + digits : 2, "0");
+  return `${seconds < 0 && size > 0 ? "−" : ""}${hours}:${String(minutes).padStart(2, "0")}:${rest}`;
 }
 
 /** How far behind the sensors the identification is; the times of a record that is replayed say nothing of it. */

@@ -263,6 +263,11 @@ async fn acknowledge(
     let (Ok(structure), Ok(parameter)) = names else {
         return refuse("a name is none", "must be lower-case letters, digits and hyphens".to_owned());
     };
+    if let Some(why) = server.cannot_acknowledge() {
+        let what = format!("an acknowledgement would not come through by the certificate of this page: {why}");
+        let allowed = "must be sent from a page, or from spandrel watch, with a certificate of such a role";
+        return Err(Mistake::new(StatusCode::FORBIDDEN, what, allowed));
+    }
     let who = signed(who, visitor.as_ref());
     let acknowledgement = Acknowledgement { structure, parameter, time_ns: now_ns(), who, note };
     if let Err(error) = server.acknowledge(&acknowledgement).await {

@@ -8,7 +8,7 @@ use crate::series::{Series, Table};
 use crate::store::Store;
 use crate::topic::{Kind, SeriesName};
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{HistorySpan, Name, Service, SpanQuery, TIMES, time_ns};
+use spandrel_bus::{HistorySpan, Name, Service, SpanQuery, TIMES, is_without_date, time_ns};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
@@ -222,7 +222,7 @@ impl Span {
         self.kept_from_s = last.map(|time_ns| time_ns as f64 / 1e9);
     }
 
-    /// One row per time (ISO 8601, UTC), one column per series and value; empty where a series has no point.
+    /// One row per time (ISO 8601, UTC; seconds of a record without dates), one column per series and value; empty where a series has no point.
     pub(crate) fn csv(&self) -> String {
         let mut rows: BTreeMap<i64, Vec<(usize, f64)>> = BTreeMap::new();
         let mut header = "time".to_owned();
@@ -244,7 +244,7 @@ impl Span {
             for (column, value) in values.into_iter().filter(|(_, value)| value.is_finite()) {
                 cells[column] = shortest(value);
             }
-            let _ = writeln!(text, "{},{}", iso_8601(time_ns), cells.join(","));
+            let _ = writeln!(text, "{},{}", written(time_ns), cells.join(","));
         }
         text
     }
@@ -257,11 +257,11 @@ fn shortest(value: f64) -> String {
     if value == 0.0 || PLAIN.contains(&value.abs()) { value.to_string() } else { format!("{value:e}") }
 }
 
-fn iso_8601(time_ns: i64) -> String {
-    match jiff::Timestamp::from_nanosecond(i128::from(time_ns)) {
-        Ok(time) => time.to_string(),
-        Err(_) => format!("{}", time_ns as f64 / 1e9), // beyond the calendar, and so of no record
-    }
+/// A time: by the calendar, or in seconds where there is no date.
+fn written(time_ns: i64) -> String {
+    let dated =
+        (!is_without_date(time_ns)).then(|| jiff::Timestamp::from_nanosecond(i128::from(time_ns)).ok()).flatten();
+    dated.map_or_else(|| shortest(time_ns as f64 / 1e9), |time| time.to_string())
 }
 
 /// A name as a field of CSV; a leading sign that a spreadsheet would take for a formula cannot come from a kind.

@@ -36,7 +36,6 @@ mod series;
 mod topic;
 
 mod about;
-mod arrivals;
 mod innovations;
 mod store;
 

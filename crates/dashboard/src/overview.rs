@@ -182,12 +182,12 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     if let Some(cleared) = alerts_in(store, AlertState::Cleared).next() {
         return (Level::Notice, cleared.why.clone());
     }
-    if store.data_heard.is_none() && store.now >= NEVER_MEASURED_AFTER {
+    if store.data_heard().is_none() && store.now >= NEVER_MEASURED_AFTER {
         let sentence =
             "nothing has been measured since this page was started: see which services and sensors are there";
         return (Level::Stale, sentence.to_owned());
     }
-    if store.data_heard.is_none() {
+    if store.data_heard().is_none() {
         return (Level::Learning, "waiting for the first estimates".to_owned());
     }
     if store.phase == Some(Phase::Training) {

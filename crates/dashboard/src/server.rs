@@ -26,6 +26,7 @@ pub(crate) struct Server {
     clients: AtomicUsize,
     stopped: watch::Sender<bool>,
     gate: Gate,
+    cannot_acknowledge: Option<String>,
     started: Instant,
 }
 
@@ -40,16 +41,27 @@ impl Drop for ClientPlace {
 }
 
 impl Server {
-    pub(crate) fn new(bus: Bus, structures: Vec<(Keys, Store)>, gate: Gate) -> Self {
+    pub(crate) fn new(
+        bus: Bus,
+        structures: Vec<(Keys, Store)>,
+        gate: Gate,
+        cannot_acknowledge: Option<String>,
+    ) -> Self {
         let structures = structures.into_iter().map(|(keys, store)| (keys, Mutex::new(store))).collect();
         #[expect(clippy::disallowed_methods, reason = "sessions of browsers end by the clock of the wall")]
         let started = Instant::now();
-        Self { bus, structures, clients: AtomicUsize::new(0), stopped: watch::Sender::new(false), gate, started }
+        let (clients, stopped) = (AtomicUsize::new(0), watch::Sender::new(false));
+        Self { bus, structures, clients, stopped, gate, cannot_acknowledge, started }
     }
 
     /// Who is let in.
     pub(crate) fn gate(&self) -> &Gate {
         &self.gate
+    }
+
+    /// Why acknowledgements would be dropped on their way, if they would be.
+    pub(crate) fn cannot_acknowledge(&self) -> Option<&str> {
+        self.cannot_acknowledge.as_deref()
     }
 
     /// How long the page has been served.

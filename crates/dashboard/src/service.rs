@@ -48,12 +48,14 @@ pub struct PageSettings {
     pub certificate: Option<PageCertificate>,
     /// Who is let in; none: everybody, on this machine only.
     pub tokens: Tokens,
+    /// Why an acknowledgement of this page would be dropped on its way, if it would be: whoever sends one is told.
+    pub cannot_acknowledge: Option<String>,
 }
 
 impl From<Listen> for PageSettings {
     /// A page for this machine, without certificate and tokens.
     fn from(listen: Listen) -> Self {
-        Self { listen, certificate: None, tokens: Tokens::default() }
+        Self { listen, certificate: None, tokens: Tokens::default(), cannot_acknowledge: None }
     }
 }
 
@@ -107,7 +109,7 @@ impl DashboardService {
                 taken: 0,
             });
         }
-        let server = Arc::new(Server::new(bus.clone(), stores, gate));
+        let server = Arc::new(Server::new(bus.clone(), stores, gate, page.cannot_acknowledge.clone()));
         info!(address = %address, structures = structures.len(), "dashboard ready");
         Ok(Self { door, address, server, sources, id })
     }

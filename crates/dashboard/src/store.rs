@@ -1,12 +1,11 @@
 //! Everything heard of one structure, bounded: messages in, a picture out. Knows no clock, no network.
 
 use crate::about::About;
-use crate::arrivals::Arrivals;
 use crate::innovations::{Innovations, Interval};
 use crate::series::{Series, Table};
 use crate::topic::{Kind, SeriesName};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, ChannelState, EstimateBlock, Event, EventKind, HistoryLog,
+    Acknowledgement, AlertMessage, AlertState, Arrivals, ChannelState, EstimateBlock, Event, EventKind, HistoryLog,
     ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, Progress, Service,
     Status, is_without_date,
 };
@@ -55,8 +54,6 @@ pub(crate) enum Input {
 pub(crate) struct Store {
     pub(crate) about: About,
     pub(crate) now: Duration,
-    /// When the last value was heard that rests on what has arrived live.
-    pub(crate) data_heard: Option<Duration>,
     pub(crate) time_ns: Option<i64>,
     pub(crate) parameters: BTreeMap<String, ParameterDisplay>,
     pub(crate) noise: BTreeMap<String, NoiseDisplay>,
@@ -92,7 +89,6 @@ impl Store {
             about,
             arrivals: Arrivals::default(),
             now: Duration::ZERO,
-            data_heard: None,
             time_ns: None,
             parameters: BTreeMap::new(),
             noise: BTreeMap::new(),
@@ -157,13 +153,11 @@ impl Store {
     }
 
     fn heard_data(&mut self, time_ns: i64) {
-        if self.arrivals.is_live(time_ns) {
-            self.data_heard = Some(self.now);
-        }
+        self.arrivals.value(time_ns, self.now);
         self.time_ns = Some(time_ns);
     }
 
-    /// Takes how far ingest has come; of what was heard before its first word only what it does not know to be recorded counts.
+    /// Takes how far ingest has come; of what was used before its first word only what it does not know to be recorded counts.
     fn take_ingested(&mut self, progress: &Progress) {
         // samples of nodes that identify for themselves are not read again from a recording
         if self.about.distributed || !self.arrivals.ingested(progress.header.epoch, progress.header.time_ns) {
@@ -171,7 +165,6 @@ impl Store {
         }
         let arrivals = &self.arrivals;
         self.used_ns.retain(|_, time_ns| arrivals.is_live(*time_ns));
-        self.data_heard = self.data_heard.filter(|_| self.time_ns.is_some_and(|time_ns| arrivals.is_live(time_ns)));
     }
 
     fn push(&mut self, kind: Kind, of: &str, time_ns: i64, values: &[f64]) {
@@ -295,10 +288,14 @@ impl Store {
     }
 
     fn take_present(&mut self, present: BTreeSet<(Service, Name)>) {
-        let has_alerts =
-            |present: &BTreeSet<(Service, Name)>| present.iter().any(|(service, _)| *service == Service::Alert);
-        if has_alerts(&self.present) && !has_alerts(&present) {
+        let has = |present: &BTreeSet<(Service, Name)>, service| present.iter().any(|(one, _)| *one == service);
+        let [alert_leaves, ingest_leaves] =
+            [Service::Alert, Service::Ingest].map(|service| has(&self.present, service) && !has(&present, service));
+        if alert_leaves {
             self.stale_alerts = self.alerts.keys().cloned().collect();
+        }
+        if ingest_leaves {
+            self.arrivals.ingest_left();
         }
         for key in &present {
             if self.has_room(key) {
@@ -333,9 +330,14 @@ impl Store {
         }
     }
 
+    /// When the last value was heard that rests on what has arrived live.
+    pub(crate) fn data_heard(&self) -> Option<Duration> {
+        self.arrivals.heard()
+    }
+
     /// How long nothing was measured; `None` before the first value.
     pub(crate) fn silence(&self) -> Option<Duration> {
-        Some(self.now.saturating_sub(self.data_heard?))
+        Some(self.now.saturating_sub(self.data_heard()?))
     }
 
     /// Whether data come no longer, or do not come although somebody has decided on some before.

@@ -106,6 +106,7 @@ impl Site {
             listen: Listen::At("127.0.0.1:0".into()),
             certificate: (scheme == Scheme::Https).then(|| files.certificate()),
             tokens: files.tokens(),
+            cannot_acknowledge: None,
         };
         let (bus, config) = bus().await;
         let structure = demo();
@@ -314,6 +315,7 @@ async fn beyond_this_machine_certificate_and_tokens_are_needed() {
                 listen: Listen::At(address.into()),
                 certificate: certificate.clone(),
                 tokens: tokens.clone(),
+                cannot_acknowledge: None,
             };
             let error = DashboardService::start(&[], &bus, &page, name("page")).await.map(|_| ()).unwrap_err();
             let told = error.to_string();
@@ -324,6 +326,7 @@ async fn beyond_this_machine_certificate_and_tokens_are_needed() {
         listen: Listen::At("0.0.0.0:0".into()),
         certificate: Some(files.certificate()),
         tokens: files.tokens(),
+        cannot_acknowledge: None,
     };
     DashboardService::start(&[], &bus, &page, name("page")).await.unwrap();
     bus.close().await.unwrap();

@@ -28,6 +28,7 @@ impl Need {
     pub const NOTIFY: Self = Self::new("announce notify", Right::Announce, KeyFamily::Live(Service::Notify));
     pub const SHOW_A_PAGE: Self =
         Self::new("announce a dashboard", Right::Announce, KeyFamily::Live(Service::Dashboard));
+    pub const ACKNOWLEDGE: Self = Self::new("acknowledge", Right::Put, KeyFamily::Acknowledge);
     pub const SEE_PARAMETERS: Self = Self::new("see parameters", Right::Subscribe, KeyFamily::Parameter);
 }
 
@@ -61,22 +62,35 @@ pub async fn check(bus: &Bus, config: &BusConfig, work: &Work<'_>) -> Result<(),
     Ok(())
 }
 
-/// Why a party may not do some work, and who may; `None` if it may.
-fn objection(party: &Party, work: &Work<'_>) -> Option<String> {
-    let (role, subcommand) = (party.role(), work.subcommand);
+/// Why acknowledgements of this process would not come through, where a router is reached; `None` if they do. A page or a view may be
+/// without them: it is told when somebody wants to acknowledge, as nothing else would tell.
+///
+/// # Errors
+/// The certificate cannot be read.
+pub async fn cannot_acknowledge(bus: &Bus, config: &BusConfig) -> Result<Option<String>, AppError> {
+    let Some(tls) = &config.tls else { return Ok(None) };
+    let Some(party) = Party::of_certificate(&tls.certificate)? else { return Ok(None) };
+    let why = lack(&party, &[Need::ACKNOWLEDGE], "");
+    Ok(if why.is_some() && bus.reaches_a_router().await { why } else { None })
+}
+
+/// What a party may not do of what is needed `for_what`, and which roles may; `None` if it may all.
+fn lack(party: &Party, needs: &[Need], for_what: &str) -> Option<String> {
     let lacks = |role: Role| {
         let allowed = rights(role);
-        work.needs.iter().copied().find(|need| !allowed.contains(&(need.right, need.family)))
+        needs.iter().copied().find(|need| !allowed.contains(&(need.right, need.family)))
     };
-    if let Some(need) = lacks(role) {
-        let fitting: Vec<&str> =
-            Role::ALL.into_iter().filter(|role| lacks(*role).is_none()).map(Role::as_str).collect();
-        let name = party.common_name();
-        return Some(format!(
-            "it is that of {name}, and role {role} may not {}, as spandrel {subcommand} has to; roles that may: {}",
-            need.words,
-            fitting.join(", ")
-        ));
+    let role = party.role();
+    let need = lacks(role)?;
+    let fitting: Vec<&str> = Role::ALL.into_iter().filter(|role| lacks(*role).is_none()).map(Role::as_str).collect();
+    Some(format!("role {role} may not {}{for_what}; roles that may: {}", need.words, fitting.join(", ")))
+}
+
+/// Why a party may not do some work, and who may; `None` if it may.
+fn objection(party: &Party, work: &Work<'_>) -> Option<String> {
+    let subcommand = work.subcommand;
+    if let Some(lack) = lack(party, work.needs, &format!(", as spandrel {subcommand} has to")) {
+        return Some(format!("it is that of {}, and {lack}", party.common_name()));
     }
     let own = party.structure()?.as_str();
     if let Some(other) = work.structures.iter().find(|structure| **structure != own) {
@@ -116,6 +130,14 @@ mod tests {
     }
 
     #[test]
+    fn who_may_not_acknowledge_is_told_who_may() {
+        let lack = |party: &str| lack(&party.parse().unwrap(), &[Need::ACKNOWLEDGE], "");
+        let why = "role dashboard may not acknowledge; roles that may: server, operator";
+        assert_eq!(lack("dashboard.page").as_deref(), Some(why));
+        assert_eq!((lack("operator.grace"), lack("server.main")), (None, None));
+    }
+
+    #[test]
     fn a_certificate_of_one_structure_or_node_is_for_nothing_else() {
         let samples = [Need::PUT_SAMPLES];
         assert!(told("gateway.bridge", &samples, &["ground"]).unwrap().contains("for structure bridge only"));
@@ -136,6 +158,7 @@ mod tests {
             Need::ANSWER_HISTORY,
             Need::NOTIFY,
             Need::SHOW_A_PAGE,
+            Need::ACKNOWLEDGE,
             Need::SEE_PARAMETERS,
         ] {
             let met = Role::ALL.into_iter().any(|role| rights(role).contains(&(need.right, need.family)));

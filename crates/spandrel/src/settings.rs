@@ -108,7 +108,7 @@ impl DashboardSettings {
         }
     }
 
-    /// Where and how the page is served; `None` for no page.
+    /// Where and how the page is served; `None` for no page. Whether it can acknowledge shows once the bus is open.
     ///
     /// # Errors
     /// The file of tokens cannot be read.
@@ -126,7 +126,7 @@ impl DashboardSettings {
                 tokens => tokens,
             },
         };
-        Ok(Some(PageSettings { listen, certificate, tokens }))
+        Ok(Some(PageSettings { listen, certificate, tokens, cannot_acknowledge: None }))
     }
 }
 

@@ -35,3 +35,4 @@ mod testing;
 
 pub use held_stderr::HeldStderr;
 pub use shell::show;
+pub use view::Around;

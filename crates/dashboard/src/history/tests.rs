@@ -45,10 +45,22 @@ fn rows_of_a_file_have_one_time_and_empty_fields_where_nothing_was_measured() {
         [
             "time,parameter/storey-1.mean,parameter/storey-1.std,parameter/storey-1.probability_of_loss,\
              parameter/storey-2.mean,parameter/storey-2.std,parameter/storey-2.probability_of_loss",
-            "1970-01-01T00:00:00Z,1,0.01,0.25,,,",
-            "1970-01-01T00:00:00.000000001Z,,,,0.5,0.01,0.75",
+            "0,1,0.01,0.25,,,",
+            "1e-9,,,,0.5,0.01,0.75",
         ]
     );
+}
+
+#[test]
+fn times_of_a_file_are_of_the_calendar_and_those_of_a_record_without_dates_in_seconds() {
+    for (time_ns, text) in [
+        (1_709_208_000_000_000_000, "2024-02-29T12:00:00Z"),
+        (1_709_208_000_250_000_000, "2024-02-29T12:00:00.25Z"),
+        (90 * SECOND + SECOND / 2, "90.5"),
+        (-SECOND, "-1"),
+    ] {
+        assert_eq!(written(time_ns), text);
+    }
 }
 
 #[test]

@@ -4,12 +4,13 @@ use super::run::serve_page;
 use super::watch::joining_by_default;
 use crate::cli::RunArguments;
 use crate::error::AppError;
-use crate::role_check::{Need, Work, check};
+use crate::role_check::{Need, Work, cannot_acknowledge, check};
 use crate::services::{Running, block_on, interrupted, read_structures};
 use crate::settings::Settings;
 use crate::supervision::{feed_watchdog, tell_systemd};
 use sd_notify::NotifyState;
 use spandrel_bus::Bus;
+use spandrel_dashboard::PageSettings;
 use tracing::info;
 
 /// Serves the page until Ctrl-C or SIGTERM.
@@ -27,6 +28,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), AppError> {
         let structures = watched.iter().map(|watched| watched.structure.name()).collect();
         let work = Work { subcommand: "dashboard", needs: &[Need::SHOW_A_PAGE], structures, nodes: Vec::new() };
         check(&bus, &config, &work).await?;
+        let page = PageSettings { cannot_acknowledge: cannot_acknowledge(&bus, &config).await?, ..page };
         let mut running = Running::new();
         serve_page(&mut running, &bus, &watched, &page, &arguments.page).await?;
         info!(structures = watched.len(), "ready");

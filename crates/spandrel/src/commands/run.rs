@@ -3,7 +3,7 @@
 use super::print;
 use crate::cli::{PageArguments, ServiceArguments};
 use crate::error::AppError;
-use crate::role_check::{Need, Work, check};
+use crate::role_check::{Need, Work, cannot_acknowledge, check};
 use crate::services::{Running, Watched, block_on, interrupted, read_structures};
 use crate::settings::Settings;
 use crate::state::State;
@@ -138,7 +138,9 @@ impl Plan {
         let Self { settings, watched, served, database, state } = self;
         let mut running = Running::new();
         if let Some(served) = served {
-            serve_page(&mut running, bus, watched, served, page).await?;
+            let cannot_acknowledge = cannot_acknowledge(bus, &settings.bus).await?;
+            let served = PageSettings { cannot_acknowledge, ..served.clone() };
+            serve_page(&mut running, bus, watched, &served, page).await?;
         }
         if let Some(address) = database {
             running.start_history(bus, watched, address, &settings.history.keep).await?;

@@ -2,10 +2,10 @@
 
 use crate::cli::WatchArguments;
 use crate::error::AppError;
-use crate::role_check::{Need, Work, check};
+use crate::role_check::{Need, Work, cannot_acknowledge, check};
 use crate::services::{block_on, interrupted};
 use crate::settings::Settings;
-use crate::watch;
+use crate::watch::{self, Around};
 use spandrel_bus::{Bus, BusConfig, DEFAULT_ENDPOINT, Mode, Name};
 
 /// Shows one structure, or all, until the person quits or the process is told to stop.
@@ -21,7 +21,8 @@ pub fn run(arguments: WatchArguments) -> Result<(), AppError> {
         let work =
             Work { subcommand: "watch", needs: &[Need::SEE_PARAMETERS], structures: Vec::new(), nodes: Vec::new() };
         check(&bus, config, &work).await?;
-        let shown = watch::show(&bus, &root, structure.as_ref(), None, interrupted()).await;
+        let around = Around { page: None, cannot_acknowledge: cannot_acknowledge(&bus, config).await? };
+        let shown = watch::show(&bus, &root, structure.as_ref(), around, interrupted()).await;
         let closed = bus.close().await;
         shown.and(closed.map_err(AppError::from))
     })
@@ -39,7 +40,8 @@ pub async fn show(
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
     let structure = structure.map(Name::new).transpose()?;
-    watch::show(bus, root, structure.as_ref(), page, stop).await
+    let around = Around { page: page.map(str::to_owned), cannot_acknowledge: None };
+    watch::show(bus, root, structure.as_ref(), around, stop).await
 }
 
 /// A view alone is no system: unless told otherwise it joins the one on this machine.

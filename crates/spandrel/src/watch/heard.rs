@@ -3,8 +3,8 @@
 use super::natural_name::NaturalName;
 use super::trail::Trail;
 use spandrel_bus::{
-    AlertMessage, AlertState, Event, EventKind, MAX_CHANNELS, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay,
-    ParameterDisplay, Service, Status, is_without_date,
+    AlertMessage, AlertState, Arrivals, Event, EventKind, MAX_CHANNELS, ModelClassDisplay, Name, NodeDisplay,
+    NoiseDisplay, ParameterDisplay, Progress, Service, Status, is_without_date,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -35,6 +35,8 @@ pub enum Input {
     StandingAlert(AlertMessage),
     Event(Event),
     Status(Status),
+    /// How far the ingest of a structure has come.
+    Ingested(Name, Progress),
     /// Everybody who is there now.
     Present(BTreeSet<Instance>),
     /// A message whose key says something else than its content.
@@ -74,7 +76,7 @@ pub struct StructureHeard {
     pub instances: BTreeMap<(Service, Name), InstanceHeard>,
     /// Measurement time (ns) of the newest value.
     pub time_ns: Option<i64>,
-    data_heard: Option<Duration>,
+    arrivals: Arrivals,
 }
 
 /// The last value of a parameter, and how it got there.
@@ -89,6 +91,17 @@ pub struct ParameterHeard {
 pub struct NodeHeard {
     /// Never empty; the last one is the latest.
     lately: VecDeque<NodeDisplay>,
+}
+
+/// Where a value comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Origin {
+    /// From sensors, or from a simulation of now.
+    Measured,
+    /// From a record or a simulation with times of its own.
+    Replayed,
+    /// From the recording, which is read again after a restart.
+    ReadAgain,
 }
 
 /// What an instance says of itself, and whether it is there.
@@ -122,6 +135,11 @@ impl Heard {
             Input::Node(display) => self.take_node(display),
             Input::Event(event) => self.take_event(event),
             Input::Status(status) => self.take_status(status),
+            Input::Ingested(structure, progress) => {
+                if let Some(structure) = self.structure_mut(&structure) {
+                    structure.arrivals.ingested(progress.header.epoch, progress.header.time_ns);
+                }
+            }
             Input::Present(instances) => self.take_present(&instances),
             Input::Misplaced => self.left_out += 1,
         }
@@ -135,7 +153,7 @@ impl Heard {
             self.left_out += 1;
             return;
         }
-        structure.data_heard = Some(now);
+        structure.arrivals.value(time_ns, now);
         structure.time_ns = Some(time_ns);
         let mean = display.mean;
         let heard = match structure.parameters.entry(name) {
@@ -169,7 +187,7 @@ impl Heard {
             self.left_out += 1;
             return;
         }
-        structure.data_heard = Some(now);
+        structure.arrivals.value(display.time_ns, now);
         structure.time_ns = structure.time_ns.max(Some(display.time_ns));
         structure.noise.insert(name, display);
     }
@@ -223,12 +241,10 @@ impl Heard {
     }
 
     fn take_present(&mut self, present: &BTreeSet<Instance>) {
-        let had_alert_service: Vec<NaturalName> = self
-            .structures
-            .iter()
-            .filter(|(_, structure)| structure.has_alert_service())
-            .map(|(name, _)| name.clone())
-            .collect();
+        let [had_alert_service, had_ingest] = [Service::Alert, Service::Ingest].map(|service| {
+            let had = self.structures.iter().filter(|(_, structure)| structure.has(service));
+            had.map(|(name, _)| name.clone()).collect::<Vec<NaturalName>>()
+        });
         for structure in self.structures.values_mut() {
             structure.instances.values_mut().for_each(|instance| instance.is_present = false);
         }
@@ -243,8 +259,14 @@ impl Heard {
             }
         }
         for name in had_alert_service {
-            if let Some(structure) = self.structures.get_mut(&name).filter(|structure| !structure.has_alert_service()) {
+            if let Some(structure) = self.structures.get_mut(&name).filter(|structure| !structure.has(Service::Alert)) {
                 structure.stale_alerts = structure.alerts.keys().cloned().collect();
+            }
+        }
+        for name in had_ingest {
+            if let Some(structure) = self.structures.get_mut(&name).filter(|structure| !structure.has(Service::Ingest))
+            {
+                structure.arrivals.ingest_left();
             }
         }
         for structure in self.structures.values_mut() {
@@ -292,9 +314,10 @@ impl Heard {
         self.structure(&alert.structure).is_some_and(|structure| structure.is_stale(&alert.parameter))
     }
 
-    /// How long nothing was measured, once that is too long; `None` also before the first value.
+    /// How long nothing was measured, once that is too long; `None` also before the first value that was not read again from the
+    /// recording.
     pub fn silence_of_data(&self, structure: &StructureHeard) -> Option<Duration> {
-        self.silence_since(structure.data_heard?)
+        self.silence_since(structure.arrivals.heard()?)
     }
 
     /// How long a service has not said how it does, once that is too long; `None` also if it never did.
@@ -326,8 +349,19 @@ impl StructureHeard {
         parameters.is_empty() && noise.is_empty() && alerts.is_empty() && nodes.is_empty() && instances.is_empty()
     }
 
-    fn has_alert_service(&self) -> bool {
-        self.instances.iter().any(|((service, _), instance)| *service == Service::Alert && instance.is_present)
+    fn has(&self, service: Service) -> bool {
+        self.instances.iter().any(|((one, _), instance)| *one == service && instance.is_present)
+    }
+
+    /// Where the last value comes from.
+    pub fn origin(&self) -> Origin {
+        if self.arrivals.is_from_the_recording() {
+            Origin::ReadAgain
+        } else if self.is_replayed() {
+            Origin::Replayed
+        } else {
+            Origin::Measured
+        }
     }
 
     /// Whether the service that told the alert of a parameter has gone, and no other has said how it stands.

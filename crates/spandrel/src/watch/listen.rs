@@ -1,11 +1,11 @@
 //! Listens on the bus, and hands over what has come.
 
 use super::heard::{Input, Instance};
-use super::topics::{KeyExpressions, OnTopic, input, instance};
+use super::topics::{KeyExpressions, OnTopic, ingested, input, instance};
 use crate::error::AppError;
 use spandrel_bus::{
     AlertMessage, Bus, BusError, Event, LiveWatch, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay,
-    ParameterDisplay, Service, Status, Subscription,
+    ParameterDisplay, Progress, Service, Status, Subscription,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use tracing::warn;
 const VALUES_WAITING: usize = 8192;
 /// Alerts and events that wait; there are few, and none must be missed.
 const ALERTS_WAITING: usize = 8192;
-/// Statuses and model classes that wait: a few a second of each structure.
+/// Statuses, model classes and words of ingest that wait: a few a second of each structure.
 const STATUSES_WAITING: usize = 1024;
 /// How long the alert services may take to say how the alerts stand.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
@@ -34,6 +34,7 @@ pub struct Listening {
     alerts: Subscription<AlertMessage>,
     events: Subscription<Event>,
     statuses: Subscription<Status>,
+    ingested: Subscription<Progress>,
     live: Vec<LiveWatch>,
     present: BTreeSet<Instance>,
     /// Questions how the alerts stand that are not answered yet.
@@ -61,6 +62,7 @@ impl Listening {
             alerts: bus.subscribe(expressions.alerts.clone(), ALERTS_WAITING).await?,
             events: bus.subscribe(expressions.events.clone(), ALERTS_WAITING).await?,
             statuses: bus.subscribe(expressions.statuses.clone(), STATUSES_WAITING).await?,
+            ingested: bus.subscribe(expressions.ingested.clone(), STATUSES_WAITING).await?,
             live,
             present: BTreeSet::new(),
             asked: JoinSet::new(),
@@ -80,6 +82,10 @@ impl Listening {
     pub fn gather(&mut self) -> Vec<Input> {
         let mut inputs = Vec::new();
         self.gather_present(&mut inputs);
+        // before the values: it says which of them are read again from the recording
+        let words = self.ingested.messages();
+        let words = words.try_iter().take(words.len());
+        inputs.extend(words.map(|(key, progress)| ingested(&self.root, &key, progress)));
         drain(&self.root, &self.statuses, &mut inputs);
         drain(&self.root, &self.parameters, &mut inputs);
         drain(&self.root, &self.noise, &mut inputs);
@@ -125,6 +131,7 @@ impl Listening {
             self.alerts.refused(),
             self.events.refused(),
             self.statuses.refused(),
+            self.ingested.refused(),
         ];
         refused.iter().flat_map(|reasons| reasons.values()).sum()
     }

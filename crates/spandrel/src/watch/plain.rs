@@ -1,7 +1,7 @@
 //! The view as plain lines, for pipes, scripts and logs: one line per change of an alert, one a second per structure
 //! and, by [`plain_line`](super::nodes::plain_line), one per node that identifies for itself.
 
-use super::heard::{Heard, StructureHeard};
+use super::heard::{Heard, Origin, StructureHeard};
 use super::structure_panel::leading_class;
 use super::wording::{duration, estimate, lag, nothing_measured, printable, time};
 use spandrel_bus::{AlertMessage, Name, Service};
@@ -30,7 +30,11 @@ pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) ->
     format!(
         "{}{} {name} {}{}{}{}",
         time(time_ns),
-        if structure.is_replayed() { " of a replayed record" } else { "" },
+        match structure.origin() {
+            Origin::Measured => "",
+            Origin::Replayed => " of a replayed record",
+            Origin::ReadAgain => " read again from the recording",
+        },
         stale.unwrap_or_default(),
         parameters.join(", "),
         class.unwrap_or_default(),
@@ -79,7 +83,7 @@ fn services(heard: &Heard, structure: &StructureHeard) -> String {
 #[cfg(test)]
 mod tests {
     use super::super::heard::Input;
-    use super::super::testing::{alert, at, classes, damaged_tower, heard, name, parameter, present, status};
+    use super::super::testing::{alert, at, classes, damaged_tower, heard, name, parameter, present, progress, status};
     use super::*;
     use spandrel_bus::{AlertState, Pace};
 
@@ -128,6 +132,17 @@ mod tests {
         let told = line(&tower);
         assert!(told.starts_with("2024-02-29 12:00:59 UTC of a replayed record tower storey-1"), "{told}");
         assert!(told.ends_with("; ingest/a, identify/a drops 3, alert/a"), "{told}");
+    }
+
+    /// Broke: for some seconds after a restart these passed for measured now.
+    #[test]
+    fn values_that_are_read_again_from_the_recording_say_so() {
+        let known = Input::Ingested(name("tower"), progress(7, 60));
+        let mut heard = heard([known, Input::Parameter(parameter("storey-1", 58, 1.0, 0.1))]);
+        let told = "2024-02-29 12:00:58 UTC read again from the recording tower storey-1 1.000 ± 0.100";
+        assert_eq!(line(&heard), told);
+        heard.handle(Input::Parameter(parameter("storey-1", 61, 1.0, 0.1)), &mut Vec::new());
+        assert_eq!(line(&heard), "2024-02-29 12:01:01 UTC tower storey-1 1.000 ± 0.100");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use super::listen::Listening;
 use super::nodes::plain_line;
 use super::plain::{alert_line, structure_line};
 use super::screen::Screen;
-use super::view::{Action, View};
+use super::view::{Action, Around, View};
 use super::wording::nothing_heard;
 use crate::error::AppError;
 use ratatui::crossterm::event::{Event, KeyEventKind};
@@ -21,8 +21,7 @@ const LINE_EVERY: Duration = Duration::from_secs(1);
 
 /// Shows one structure, or all below the root, until `stop` or until the person quits.
 ///
-/// On a terminal it is a screen with keys, and with the address of the web page if there is one, otherwise lines on standard
-/// output.
+/// On a terminal it is a screen with keys, otherwise lines on standard output.
 ///
 /// # Errors
 /// The session is closed, or the terminal is gone.
@@ -30,7 +29,7 @@ pub async fn show(
     bus: &Bus,
     root: &Name,
     structure: Option<&Name>,
-    page: Option<&str>,
+    around: Around,
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
     let listening = Listening::start(bus, root, structure).await?;
@@ -39,7 +38,7 @@ pub async fn show(
         None => format!("below {root}"),
     };
     if io::stdout().is_terminal() {
-        show_screen(bus, root, listening, place, page, stop).await
+        show_screen(bus, root, listening, View::new(place, around, user()), stop).await
     } else {
         print_lines(listening, &place, stop).await
     }
@@ -49,13 +48,10 @@ async fn show_screen(
     bus: &Bus,
     root: &Name,
     mut listening: Listening,
-    place: String,
-    page: Option<&str>,
+    mut view: View,
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
     tokio::pin!(stop);
-    let mut view = View::new(place, std::env::var("USER").unwrap_or_default());
-    view.set_page(page);
     let mut screen = Screen::open()?;
     let clock = Clock::start();
     let mut redraw = tokio::time::interval(REDRAW_EVERY);
@@ -72,6 +68,7 @@ async fn show_screen(
             view.heard.handle(input, &mut Vec::new());
         }
         view.set_overwritten(listening.overwritten());
+        view.look_for_answer();
         let action = match event {
             Some(Event::Key(key)) if key.kind != KeyEventKind::Release => view.key(key),
             _ => None,
@@ -79,15 +76,19 @@ async fn show_screen(
         match action {
             Some(Action::Quit) => return Ok(()),
             Some(Action::Acknowledge { structure, parameter, who, note }) => {
-                let text = format!("acknowledgement of {structure}/{parameter} sent");
                 let acknowledgement = Acknowledgement { structure, parameter, time_ns: wall_clock_ns(), who, note };
                 acknowledge(bus, root, &acknowledgement).await?;
-                view.notify(text);
+                view.sent(acknowledgement.structure, acknowledgement.parameter);
             }
             None => {}
         }
         screen.draw(&view)?;
     }
+}
+
+/// What is offered as the name of who acknowledges.
+fn user() -> String {
+    std::env::var("USER").unwrap_or_default()
 }
 
 async fn acknowledge(bus: &Bus, root: &Name, acknowledgement: &Acknowledgement) -> Result<(), AppError> {

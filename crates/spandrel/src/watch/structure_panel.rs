@@ -1,7 +1,7 @@
 //! One structure on the screen: its parameters, noise levels and services.
 
 use super::estimate_bar::{Axis, Marks};
-use super::heard::{Heard, InstanceHeard, ParameterHeard, StructureHeard};
+use super::heard::{Heard, InstanceHeard, Origin, ParameterHeard, StructureHeard};
 use super::nodes::panel_lines;
 use super::trail::Trail;
 use super::wording::{
@@ -243,8 +243,12 @@ fn title(name: &Name, structure: &StructureHeard) -> Line<'static> {
 }
 
 fn time_of(heard: &Heard, structure: &StructureHeard) -> Line<'static> {
-    let of_record = if structure.is_replayed() { " · replayed record" } else { "" };
-    let measured = structure.time_ns.map(|time_ns| format!("{}{of_record}", time(time_ns)));
+    let origin = match structure.origin() {
+        Origin::Measured => "",
+        Origin::Replayed => " · replayed record",
+        Origin::ReadAgain => " · read again from the recording",
+    };
+    let measured = structure.time_ns.map(|time_ns| format!("{}{origin}", time(time_ns)));
     match (measured, heard.silence_of_data(structure)) {
         (Some(measured), None) => Line::from(measured),
         (Some(measured), Some(silence)) => {

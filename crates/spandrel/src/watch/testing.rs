@@ -2,8 +2,8 @@
 
 use super::heard::{Heard, Input, Instance};
 use spandrel_bus::{
-    AlertMessage, AlertState, ClassPlausibility, CredibleInterval, Event, EventKind, ModelClassDisplay, Name,
-    NodeDisplay, NodeHealth, NoiseDisplay, ParameterDisplay, Service, Status,
+    AlertMessage, AlertState, ClassPlausibility, CredibleInterval, Event, EventKind, Header, ModelClassDisplay, Name,
+    NodeDisplay, NodeHealth, NoiseDisplay, ParameterDisplay, Progress, Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -105,6 +105,12 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
         restarts: 0,
         version: "0.1.0".to_owned(),
     }
+}
+
+/// That ingest has done the frames of an epoch up to `second` after [`TIME_NS`].
+pub fn progress(epoch: u64, second: i64) -> Progress {
+    let header = Header { source: "a".to_owned(), epoch, sequence: 1200, time_ns: TIME_NS + second * 1_000_000_000 };
+    Progress { header, done: 1200, kept: 1200 }
 }
 
 /// A class of `tower` that leads and is not yet believed.

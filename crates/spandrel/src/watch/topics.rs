@@ -3,7 +3,7 @@
 use super::heard::{Input, Instance};
 use spandrel_bus::{
     AlertMessage, Event, Keys, Message, ModelClassDisplay, Name, NameError, NodeDisplay, NoiseDisplay,
-    ParameterDisplay, Service, Status, Topic, parse_key,
+    ParameterDisplay, Progress, Service, Status, Topic, parse_key,
 };
 
 /// The key expressions of what people look at.
@@ -16,6 +16,7 @@ pub struct KeyExpressions {
     pub alerts: String,
     pub events: String,
     pub statuses: String,
+    pub ingested: String,
     pub live: Vec<String>,
 }
 
@@ -43,6 +44,7 @@ impl KeyExpressions {
             alerts: expression(keys.all_alerts()),
             events: expression(keys.event()),
             statuses: expression(keys.all_statuses()),
+            ingested: expression(keys.progress(Service::Ingest)),
             live: Service::ALL.iter().map(|service| expression(keys.all_live(*service))).collect(),
         })
     }
@@ -134,6 +136,14 @@ pub fn input<M: OnTopic>(root: &Name, key: &str, message: M) -> Input {
     if is_in_place { message.into_input() } else { Input::Misplaced }
 }
 
+/// How far the ingest of a structure has come: a progress message does not say whose it is, its key does.
+pub fn ingested(root: &Name, key: &str, progress: Progress) -> Input {
+    match parse_key(root, key) {
+        Some((structure, Topic::Progress(Service::Ingest))) => Input::Ingested(structure, progress),
+        _ => Input::Misplaced,
+    }
+}
+
 /// Who a liveliness token stands for.
 pub fn instance(root: &Name, key: &str) -> Option<Instance> {
     match parse_key(root, key)? {
@@ -165,6 +175,7 @@ mod tests {
         assert_eq!(expressions.alerts, "any/*/alert/*");
         assert_eq!(expressions.events, "any/*/event");
         assert_eq!(expressions.statuses, "any/*/status/*/*");
+        assert_eq!(expressions.ingested, "any/*/progress/ingest");
         assert!(expressions.live.contains(&"any/*/live/sensor/*".to_owned()));
     }
 

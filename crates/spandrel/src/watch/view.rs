@@ -8,6 +8,8 @@ use std::time::Duration;
 
 /// How long a notice stands in the last line.
 const NOTICE_FOR: Duration = Duration::from_secs(8);
+/// Time for the alert service to take an acknowledgement.
+const ANSWER_WITHIN: Duration = Duration::from_secs(5);
 /// Parameters that a page key moves by.
 const PAGE: usize = 5;
 
@@ -17,7 +19,7 @@ pub struct View {
     pub heard: Heard,
     /// Where it is listened, in words, for as long as nothing is heard.
     place: String,
-    page: Option<String>,
+    around: Around,
     mode: Mode,
     /// By name, so that a new structure or alert does not move the choice.
     structure: Option<Name>,
@@ -27,6 +29,25 @@ pub struct View {
     /// Who acknowledged last; offered for the next time.
     who: String,
     overwritten: u64,
+    sent: Option<Sent>,
+}
+
+/// What a view is told when it is opened.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Around {
+    /// The address of the web page, if there is one.
+    pub page: Option<String>,
+    /// Why an acknowledgement would be dropped on its way, if it would be.
+    pub cannot_acknowledge: Option<String>,
+}
+
+/// An acknowledgement that the alert service has not answered yet: it does so by the next state of the alert.
+#[derive(Debug, Clone)]
+struct Sent {
+    structure: Name,
+    parameter: Name,
+    state: AlertState,
+    until: Duration,
 }
 
 /// What the keys mean.
@@ -64,8 +85,8 @@ enum Step {
 
 impl View {
     /// Starts with nothing heard at `place`; `who` is offered as the name for acknowledgements.
-    pub fn new(place: String, who: String) -> Self {
-        Self { place, who, ..Self::default() }
+    pub fn new(place: String, around: Around, who: String) -> Self {
+        Self { place, around, who, ..Self::default() }
     }
 
     /// Where it is listened, in words.
@@ -140,6 +161,10 @@ impl View {
             self.notify(format!("the alert service of {structure}/{parameter} is gone, nobody would hear it"));
             return;
         }
+        if let Some(why) = &self.around.cannot_acknowledge {
+            self.notify(format!("not possible: {why}"));
+            return;
+        }
         match alert.state {
             AlertState::Raised | AlertState::Cleared | AlertState::Pending => {
                 self.mode = Mode::Acknowledging { structure, parameter, form: Form::new(self.who.clone()) };
@@ -156,14 +181,32 @@ impl View {
         self.notice = Some(Notice { text, until: self.heard.now() + NOTICE_FOR });
     }
 
-    /// Takes the address of the web page.
-    pub fn set_page(&mut self, page: Option<&str>) {
-        self.page = page.map(str::to_owned);
+    /// Takes that an acknowledgement was sent, and says so until it is taken.
+    pub fn sent(&mut self, structure: Name, parameter: Name) {
+        let alert = self.heard.structure(&structure).and_then(|heard| heard.alert(&parameter));
+        let Some(state) = alert.map(|alert| alert.state) else { return };
+        self.notify(format!("acknowledgement of {structure}/{parameter} sent"));
+        self.sent = Some(Sent { structure, parameter, state, until: self.heard.now() + ANSWER_WITHIN });
+    }
+
+    /// Says whether an acknowledgement was taken, once that is known or nobody has answered for too long.
+    pub fn look_for_answer(&mut self) {
+        let Some(Sent { structure, parameter, state, until }) = &self.sent else { return };
+        let alert = self.heard.structure(structure).and_then(|heard| heard.alert(parameter));
+        let told = match alert.map(|alert| alert.state) {
+            Some(now) if now != *state => format!("{structure}/{parameter} is {}", now.as_str()),
+            Some(_) | None if self.heard.now() < *until => return,
+            Some(_) | None => {
+                format!("nobody took the acknowledgement of {structure}/{parameter}; is the alert service there?")
+            }
+        };
+        self.sent = None;
+        self.notify(told);
     }
 
     /// The address of the web page, if there is one.
     pub fn page(&self) -> Option<&str> {
-        self.page.as_deref()
+        self.around.page.as_deref()
     }
 
     /// Takes how many messages have been pushed out by newer ones before they were shown.
@@ -302,6 +345,38 @@ mod tests {
         press(&mut view, [KeyCode::Char('a')]);
         assert_eq!(*view.mode(), Mode::Watching);
         assert_eq!(view.notice(), Some("the alert service of tower/storey-2 is gone, nobody would hear it"));
+    }
+
+    #[test]
+    fn an_acknowledgement_that_would_be_dropped_is_not_asked_for() {
+        let why = "role viewer may not acknowledge; roles that may: server, operator";
+        let around = Around { cannot_acknowledge: Some(why.to_owned()), ..Around::default() };
+        let mut view = View { heard: damaged_tower(), around, ..View::default() };
+        press(&mut view, [KeyCode::Char('a')]);
+        assert_eq!(*view.mode(), Mode::Watching);
+        assert_eq!(view.notice().unwrap(), format!("not possible: {why}"));
+    }
+
+    /// Broke: one that nobody took was told as sent, and no more was heard of it.
+    #[test]
+    fn an_acknowledgement_is_told_as_taken_or_not() {
+        let sent = || {
+            let mut view = view(damaged_tower());
+            view.heard.handle(at(100), &mut Vec::new());
+            view.sent(name("tower"), name("storey-2"));
+            view.look_for_answer();
+            assert_eq!(view.notice(), Some("acknowledgement of tower/storey-2 sent"));
+            view
+        };
+        let mut taken = sent();
+        taken.heard.handle(Input::Alert(alert("storey-2", 46, AlertState::Acknowledged)), &mut Vec::new());
+        taken.look_for_answer();
+        assert_eq!(taken.notice(), Some("tower/storey-2 is acknowledged"));
+        let mut lost = sent();
+        lost.heard.handle(at(105), &mut Vec::new());
+        lost.look_for_answer();
+        let told = "nobody took the acknowledgement of tower/storey-2; is the alert service there?";
+        assert_eq!(lost.notice(), Some(told));
     }
 
     #[test]

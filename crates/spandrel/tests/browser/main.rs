@@ -145,6 +145,12 @@ async fn nodes_that_identify_for_themselves_are_in_a_table() {
     assert_eq!(browser.evaluate("document.querySelectorAll('table.nodes tbody tr').length").await, 16);
     let heads = browser.evaluate("[...document.querySelectorAll('table.nodes th[scope=col]')].length").await;
     assert_eq!(heads, 7);
+    // names were broken at their hyphens, and lines of different nodes looked the same
+    let in_one_line = "(name) => { const text = document.createRange(); text.selectNodeContents(name); return text.getClientRects().length === 1; }";
+    let names = format!("[...document.querySelectorAll('table.nodes th[scope=row]')].every({in_one_line})");
+    assert_eq!(browser.evaluate(&names).await, true, "a name takes more than a line");
+    let looks = "[...document.querySelectorAll('#plot-nodes .key-line')].map((key) => key.style.getPropertyValue('--key') + key.firstChild.getAttribute('stroke-dasharray'))";
+    assert_eq!(browser.evaluate(&format!("new Set({looks}).size")).await, 16);
     browser.wait("it is heard again", &format!("({}).startsWith('● alive')", cell("floor-8", 1))).await;
     for (column, shape) in [
         (2, r"^[\d.]+ \([\d.]+\)$"),
@@ -164,6 +170,66 @@ async fn nodes_that_identify_for_themselves_are_in_a_table() {
     let width = browser.evaluate("document.documentElement.scrollWidth").await;
     assert_eq!(width, 390, "the page is wider than the phone");
     assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
+}
+
+/// Broke: its plots and files had dates of 1970.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_record_without_dates_is_plotted_by_its_own_time() {
+    let Some(mut browser) = browser().await else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (structure, record) = (folder.path().join("demo.toml"), folder.path().join("demo.csv"));
+    std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml"), &structure).unwrap();
+    let (structure, record) = (structure.to_str().unwrap(), record.to_str().unwrap());
+    let tool = |arguments: &[&str]| {
+        let ended = Command::new(env!("CARGO_BIN_EXE_spandrel")).args(arguments).output().unwrap();
+        assert!(ended.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&ended.stderr));
+    };
+    tool(&["simulate", structure, "--record", record, "--duration", "120"]);
+    let configuration = folder.path().join("spandrel.toml");
+    std::fs::write(&configuration, "[history]\ndatabase = \"none\"\n[state]\nfolder = \"none\"\n").unwrap();
+    let (configuration, endpoint) = (configuration.to_str().unwrap(), format!("tcp/{}", free_address()));
+    let run = ["run", structure, "--config", configuration, "--http", "127.0.0.1:0", "--listen", &endpoint];
+    let run = Program::start(&run);
+    tool(&["replay", record, "--structure", structure, "--speed", "max", "--connect", &endpoint]);
+
+    browser.resize(1280, 900).await;
+    browser.open(&run.page).await;
+    let age = "document.querySelector('.structure-card[data-name=demo] .fact-age dd').textContent";
+    browser.wait("the time of the record", &format!("/, measured 119\\.\\d\\d s$/.test({age})")).await;
+    browser.evaluate("location.hash = '#/structure/demo'").await;
+    let readout = "document.querySelector('#plot-worst .readout').textContent";
+    browser.wait("a reading at the end", &format!("/^119\\.\\d\\d s · 0\\.8/.test({readout})")).await;
+    browser.screenshot("without-dates").await;
+    let file = "(async () => (await (await fetch('/api/structures/demo/history?series=parameter/storey-2&format=csv')).text()).split('\\n')[1])()";
+    let row = browser.evaluate(file).await;
+    assert!(row.as_str().unwrap().starts_with("0"), "{row}");
+    // the words of the axis are drawn, so that they are asked of what writes them
+    let words = "(async () => { const { recordTime } = await import('/words.js'); return [0, 59.9996, 90, 3725.25].map((time) => recordTime(time, time % 1 ? 2 : 0)); })()";
+    assert_eq!(browser.evaluate(words).await, json!(["0:00:00", "0:01:00.00", "0:01:30", "1:02:05.25"]));
+    assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
+}
+
+/// The one in TypeScript, without its types.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_subscriber_of_the_docs_hears_parameters() {
+    let Some(mut browser) = browser().await else { return };
+    let endpoint = format!("tcp/{}", free_address());
+    let demo = Program::start(&["demo", "--speed", "1", "--http", "127.0.0.1:0", "--listen", &endpoint]);
+    browser.open(&demo.page).await;
+    browser.wait("the page", "document.querySelector('.structure-card')").await;
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/dashboard.md");
+    let docs = std::fs::read_to_string(docs).unwrap();
+    let typed = docs.split_once("```ts\n").and_then(|(_, rest)| rest.split_once("```")).expect("a subscriber").0;
+    let lines: Vec<&str> = typed.lines().filter(|line| !line.starts_with("type ")).collect();
+    let plain = lines.join("\n").replace(" as Partial<News>", "").replace(")!", ")");
+    let script = plain.replace("ws://127.0.0.1:8080/", "ws://${location.host}/").replace("\"ws:", "`ws:");
+    let script = script.replace("structure=demo\"", "structure=demo`");
+    assert!(script.contains("`ws://${location.host}/api/live?structure=demo`"), "{script}");
+    browser
+        .evaluate(&format!("{{ globalThis.told = []; const console = {{ log: (...words) => told.push(words.join(' ')) }};\n{script}\n}} true"))
+        .await;
+    let shape = r"/^parameter\/storey-2 20\d\d-\d\d-\d\dT[\d:.]+Z [\d.]+ ± [\d.]+$/";
+    browser.wait("what the docs show", &format!("told.some((line) => {shape}.test(line))")).await;
 }
 
 async fn the_damage_appears(browser: &mut Browser, page: &str) {

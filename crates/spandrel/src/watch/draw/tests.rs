@@ -1,5 +1,6 @@
 use super::super::heard::{Heard, Input};
 use super::super::testing::{alert, at, damaged_tower, heard, name, node, parameter, present, status};
+use super::super::view::Around;
 use super::*;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
@@ -8,7 +9,7 @@ use ratatui::style::Color;
 use spandrel_bus::{AlertState, NodeHealth, Service};
 
 fn view(heard: Heard) -> View {
-    let mut view = View::new("below spandrel".to_owned(), "anna".to_owned());
+    let mut view = View::new("below spandrel".to_owned(), Around::default(), "anna".to_owned());
     view.heard = heard;
     view
 }
