@@ -21,9 +21,8 @@ fn tower() -> String {
     let storeys = |range: std::ops::RangeInclusive<u32>| -> String {
         range.map(|storey| format!("\"storey-{storey}\"")).collect::<Vec<_>>().join(", ")
     };
-    let parameter = |name: &str, of: String| {
-        format!("[[parameter]]\nname = \"{name}\"\nscales = \"stiffness\"\nof = [{of}]\n")
-    };
+    let parameter =
+        |name: &str, of: String| format!("[[parameter]]\nname = \"{name}\"\nscales = \"stiffness\"\nof = [{of}]\n");
     let node = |floor: u32| {
         format!(
             "[[node]]\nname = \"floor-{floor}\"\n[[node.channel]]\nname = \"floor-{floor}\"\n\

@@ -118,13 +118,18 @@ impl Town {
         std::fs::write(&configuration, text).unwrap();
         let start = |service: &'static str| {
             let mut command = spandrel(service);
-            command.args(sites.iter().map(Site::structure_file)).args(["-v", "--root", sites[0].keys().root().as_str()]);
+            command.args(sites.iter().map(Site::structure_file)).args([
+                "-v",
+                "--root",
+                sites[0].keys().root().as_str(),
+            ]);
             command.args(["--connect", sites[0].endpoint()]).arg("--config").arg(&configuration);
             (service, Process::start(&mut command))
         };
         let services: BTreeMap<_, _> = SERVICES.into_iter().map(start).collect();
-        for service in services.values() {
-            service.wait_for_log(&format!("ready structures={STRUCTURES}"));
+        let all = format!("ready structures={STRUCTURES}");
+        for (name, service) in &services {
+            service.wait_for_log(if *name == "dashboard" { "dashboard ready" } else { &all });
         }
         let mut town = Self { sites, clock: Clock::starting(SPEED), services, nodes: BTreeMap::new(), _router: router };
         for structure in 0..STRUCTURES {
@@ -173,7 +178,8 @@ impl Town {
             }
             None => {
                 let lies = random.random::<bool>();
-                let manner = if lies { Manner::LIES[random.random_range(0..Manner::LIES.len())] } else { Manner::Honest };
+                let manner =
+                    if lies { Manner::LIES[random.random_range(0..Manner::LIES.len())] } else { Manner::Honest };
                 self.send(place.0, place.1, manner);
                 match manner {
                     Manner::Honest => "came back honest",
@@ -193,7 +199,9 @@ impl Town {
         for structure in 0..STRUCTURES {
             for node in OTHERS {
                 match self.nodes.remove(&(structure, node)) {
-                    Some((Manner::Honest, process)) => drop(self.nodes.insert((structure, node), (Manner::Honest, process))),
+                    Some((Manner::Honest, process)) => {
+                        drop(self.nodes.insert((structure, node), (Manner::Honest, process)))
+                    }
                     Some((_, liar)) => {
                         liar.kill();
                         self.send(structure, node, Manner::Honest);
@@ -301,13 +309,21 @@ impl Report {
         let (early, late) = ((warm_up, warm_up + fifth), (length - fifth, length));
         let heard = self.heard.lock().unwrap();
         let (put, frames) = counts.iter().fold((0, 0), |(a, b), (put, frames)| (a + put, b + frames));
-        println!("{STRUCTURES} structures at {SPEED} times real time for {} s; frames {frames}, samples put by the steady nodes {put}", length.as_secs());
+        println!(
+            "{STRUCTURES} structures at {SPEED} times real time for {} s; frames {frames}, samples put by the steady nodes {put}",
+            length.as_secs()
+        );
         println!("nodes: {:?}", self.happened);
         println!("service    memory MB early   late   most   processor s");
         for name in self.memory_mb.names() {
             let median = |(from, to)| self.memory_mb.median(name, from, to);
             let most = self.memory_mb.most(name, Duration::ZERO, length);
-            println!("{name:10} {:15.1} {:6.1} {most:6.1} {:13.1}", median(early), median(late), self.processor_s[name]);
+            println!(
+                "{name:10} {:15.1} {:6.1} {most:6.1} {:13.1}",
+                median(early),
+                median(late),
+                self.processor_s[name]
+            );
         }
         println!("service    lag s early   late   most (medians of what the statuses say)");
         for name in heard.lag_s.names() {
@@ -331,7 +347,11 @@ impl Report {
             assert!(growth <= self.plan.lag_growth_s, "the lag of {name} grows by {growth:.2} s");
         }
         for service in ["identify", "alert"] {
-            assert_eq!(heard.counted(service).get("lost-items"), None, "frames or estimates lost on the way to {service}");
+            assert_eq!(
+                heard.counted(service).get("lost-items"),
+                None,
+                "frames or estimates lost on the way to {service}"
+            );
         }
     }
 }

@@ -56,7 +56,12 @@ pub struct Heard {
 
 impl Heard {
     /// Listens to the statuses of structures from now on.
-    pub async fn listen(bus: &Bus, keys: &[Keys], clock: Clock, started: Instant) -> (Arc<Mutex<Self>>, Vec<JoinHandle<()>>) {
+    pub async fn listen(
+        bus: &Bus,
+        keys: &[Keys],
+        clock: Clock,
+        started: Instant,
+    ) -> (Arc<Mutex<Self>>, Vec<JoinHandle<()>>) {
         let heard = Arc::new(Mutex::new(Self::default()));
         let mut listening = Vec::new();
         for keys in keys {

@@ -38,14 +38,8 @@ pub enum Manner {
 }
 
 impl Manner {
-    pub const LIES: [Self; 6] = [
-        Self::Implausible,
-        Self::ClockAhead,
-        Self::ClockBehind,
-        Self::Channels,
-        Self::OldMessages,
-        Self::Garbage,
-    ];
+    pub const LIES: [Self; 6] =
+        [Self::Implausible, Self::ClockAhead, Self::ClockBehind, Self::Channels, Self::OldMessages, Self::Garbage];
 }
 
 /// What a node is told.
@@ -184,7 +178,8 @@ async fn lie(manner: Manner, block: &mut SampleBlock, bus: &Bus, key: &str, rand
         }
         Manner::Garbage => {
             let garbage: Vec<u8> = (0..random.random_range(0..2000)).map(|_| random.random()).collect();
-            for encoding in [SampleBlock::encoding().as_str(), "application/postcard;spandrel.samples.v9", "text/plain"] {
+            for encoding in [SampleBlock::encoding().as_str(), "application/postcard;spandrel.samples.v9", "text/plain"]
+            {
                 put_raw(bus, key, encoding, garbage.clone()).await;
             }
         }

@@ -442,7 +442,11 @@ pub fn log_event(event: &Event, start_ns: Option<i64>) {
     let time_s = start_ns.map(|start_ns| event.time_ns.saturating_sub(start_ns) as f64 / 1e9);
     let time_ns = start_ns.is_none().then_some(event.time_ns);
     match event.kind {
-        EventKind::Calibration | EventKind::LeadingClass | EventKind::NodeBack | EventKind::ChannelBack | EventKind::CaughtUp => {
+        EventKind::Calibration
+        | EventKind::LeadingClass
+        | EventKind::NodeBack
+        | EventKind::ChannelBack
+        | EventKind::CaughtUp => {
             info!(structure, subject, time_s, time_ns, what = event.what, why = event.why, "event");
         }
         EventKind::Restart

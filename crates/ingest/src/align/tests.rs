@@ -292,7 +292,11 @@ fn a_live_node_that_was_started_again_is_taken_back_however_late_its_blocks_come
         out.extend(feed(&mut alignment, inputs));
     }
     assert_eq!(values(&out)[2..].iter().filter(|value| **value == 20.0).count(), 2);
-    assert_eq!(alignment.counts().late + alignment.counts().duplicate, 1, "of the frame that was closed before it came");
+    assert_eq!(
+        alignment.counts().late + alignment.counts().duplicate,
+        1,
+        "of the frame that was closed before it came"
+    );
 }
 
 #[test]
