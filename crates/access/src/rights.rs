@@ -76,6 +76,8 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             each(Right::Answer, &[K::Recording, K::EstimatesBuffer, K::Description]),
             each(Right::Put, &[Service::Ingest, Service::Identify, Service::Fuse].map(K::Progress)),
             progress(Right::Subscribe),
+            // whether the samples wait for identification, which decides from when on it is overloaded
+            each(Right::Subscribe, &[K::Status(Service::Ingest)]),
             watch_all(),
             [Service::Ingest, Service::Identify, Service::Fuse].map(of_service).concat(),
         ]

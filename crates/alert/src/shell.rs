@@ -92,7 +92,7 @@ impl AlertService {
             alerts.push(AlertTopic { parameter, publisher, is_told: false });
         }
         let acknowledgements = bus.subscribe(keys.all_acknowledgements(), ACKNOWLEDGEMENTS_WAITING).await?;
-        let settings = bus.reading(start);
+        let settings = bus.reading(start).patient(); // an identify service that comes back has them, or makes them again
         let parameters = structure.parameters().len();
         let is_of_structure = move |block: &EstimateBlock| match usize::from(block.parameters) == parameters {
             true => Ok(()),
@@ -310,6 +310,8 @@ impl AlertService {
             time_ns: now_ns,
             lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
             pace: None,
+            load: None,
+            frames_behind: None,
             done: self.done,
             drops,
             restarts: 0,

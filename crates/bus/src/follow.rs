@@ -66,8 +66,20 @@ pub enum Action<B> {
 pub enum Silence {
     /// Nobody has ever been there to answer.
     NoBuffer,
-    /// Somebody has, but did not answer in time, or not in a way that could be read.
+    /// Somebody has, but did not answer in time.
     NoAnswer,
+    /// Somebody has answered, but not with what was asked for, or not in a way that could be read.
+    Denied,
+}
+
+/// How long missing items are asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Patience {
+    /// Eight times, some 6 s: what came behind them must not be late as well. For samples.
+    Limited,
+    /// Until the source answers that it no longer has them, however long it is away: it keeps them on disk, or makes them
+    /// again. What it has of an epoch that is over comes before the next epoch. For frames and estimates.
+    UntilAnswered,
 }
 
 /// What did not come straight through.
@@ -107,10 +119,15 @@ const MAX_FAILURES_OF_A_SILENT_SOURCE: u32 = 1;
 pub struct Follower<B> {
     start: Start,
     limit: u64,
+    patience: Patience,
     position: Option<Position>,
     held: BTreeMap<u64, B>,
+    /// The first block that came of a later epoch, while something of this one may be left.
+    later: Option<B>,
     fetch: Option<Fetching>,
+    /// Fetches in a row that have brought nothing, and how many of them were answered.
     failures: u32,
+    denials: u32,
     source_is_silent: bool,
     counts: FollowCounts,
 }
@@ -120,6 +137,8 @@ pub struct Follower<B> {
 struct Fetching {
     after: u64,
     seen_end: u64,
+    /// Whether a later epoch was known of.
+    later: bool,
 }
 
 /// How far the running epoch has been delivered, and is known to reach.
@@ -141,7 +160,7 @@ impl Position {
 impl<B: Block> Follower<B> {
     /// A reader that has nothing yet; it fetches at most `limit` items at a time.
     #[must_use]
-    pub fn new(start: Start, limit: u64) -> Self {
+    pub fn new(start: Start, limit: u64, patience: Patience) -> Self {
         let position = match start {
             Start::At { epoch, sequence } => Some(Position::new(epoch, None, sequence)),
             Start::Beginning | Start::Now => None,
@@ -149,10 +168,13 @@ impl<B: Block> Follower<B> {
         Self {
             start,
             limit,
+            patience,
             position,
             held: BTreeMap::new(),
+            later: None,
             fetch: None,
             failures: 0,
+            denials: 0,
             source_is_silent: false,
             counts: FollowCounts::default(),
         }
@@ -166,6 +188,13 @@ impl<B: Block> Follower<B> {
 
     /// A block has arrived as it was put.
     pub fn live(&mut self, block: B, actions: &mut VecDeque<Action<B>>) {
+        if self.patience == Patience::UntilAnswered && self.leaves_the_epoch(&block) {
+            match self.later {
+                Some(_) => self.counts.unkept_blocks += 1,
+                None => self.later = Some(block),
+            }
+            return self.fetch_if_missing(actions); // the source knows what is left of this one, and where to go on
+        }
         if self.enter_epoch(&block, actions) {
             self.accept(block, actions);
             self.fetch_if_missing(actions);
@@ -194,39 +223,47 @@ impl<B: Block> Follower<B> {
             return; // a poll: the next one will tell
         }
         self.failures += 1;
-        let most = match silence {
-            _ if self.source_is_silent => MAX_FAILURES_OF_A_SILENT_SOURCE,
-            Silence::NoBuffer => MAX_FAILURES_WITHOUT_BUFFER,
-            Silence::NoAnswer => MAX_FAILURES,
+        self.denials += u32::from(silence == Silence::Denied);
+        let is_over = match (self.patience, silence) {
+            (Patience::UntilAnswered, Silence::NoAnswer) => false,
+            (Patience::UntilAnswered, Silence::Denied) => self.denials >= MAX_FAILURES,
+            (Patience::UntilAnswered, Silence::NoBuffer) => self.failures >= MAX_FAILURES,
+            (Patience::Limited, _) if self.source_is_silent => self.failures >= MAX_FAILURES_OF_A_SILENT_SOURCE,
+            (Patience::Limited, Silence::NoBuffer) => self.failures >= MAX_FAILURES_WITHOUT_BUFFER,
+            (Patience::Limited, Silence::NoAnswer | Silence::Denied) => self.failures >= MAX_FAILURES,
         };
-        if self.failures >= most {
-            self.failures = 0;
+        if is_over {
+            (self.failures, self.denials) = (0, 0);
             self.source_is_silent = true;
             self.give_up(actions);
         }
         self.fetch_if_missing(actions);
     }
 
+    fn has_answered(&mut self) {
+        (self.failures, self.denials) = (0, 0);
+        self.source_is_silent = false;
+    }
+
     fn answered_with(&mut self, block: B, actions: &mut VecDeque<Action<B>>) {
         let asked_after = self.fetch.map(|fetch| fetch.after);
         if !self.enter_epoch(&block, actions) {
-            return self.unanswered(Silence::NoAnswer, actions);
+            return self.unanswered(Silence::Denied, actions);
         }
         let before = self.counts.delivered_items;
         self.deliver_up_to(block.header().sequence, actions);
         let stands_still = |follower: &Self| {
             let next = follower.position.as_ref().map(|p| p.next);
-            next == asked_after && block.end() <= next.unwrap_or(0) && follower.is_missing()
+            next == asked_after && block.end() <= next.unwrap_or(0) && follower.lacks_items()
         };
         if stands_still(self) {
-            return self.unanswered(Silence::NoAnswer, actions);
+            return self.unanswered(Silence::Denied, actions);
         }
         self.accept(block, actions);
         let progress = self.counts.delivered_items - before;
         self.counts.fetched_items += progress;
         self.fetch = None;
-        self.failures = 0;
-        self.source_is_silent = false;
+        self.has_answered();
         let ended = self.position.as_ref().is_some_and(|p| p.ended);
         if progress > 0 && !ended {
             self.request(actions); // until the source says that this was all
@@ -248,20 +285,22 @@ impl<B: Block> Follower<B> {
         };
         if at.header.epoch < position.epoch {
             self.counts.stale_blocks += 1;
-            return self.unanswered(Silence::NoAnswer, actions);
+            return self.unanswered(Silence::Denied, actions);
         }
         if at.header.epoch > position.epoch {
             self.change_epoch(at.header.epoch, at.header.source.clone(), actions);
-        } else if self.is_missing() && self.fetch.is_some_and(|fetch| fetch.seen_end > at.header.sequence) {
+        } else if self.lacks_items() && self.fetch.is_some_and(|fetch| fetch.seen_end > at.header.sequence) {
             self.disbelieve(at.header.sequence, actions);
+        } else if self.fetch.is_some_and(|fetch| fetch.later) {
+            self.counts.impossible_blocks += 1;
+            self.later = None; // the source is in this epoch: it has not put that block
         }
         self.see_end(at.header.sequence);
         if self.is_missing() {
-            return self.unanswered(Silence::NoAnswer, actions); // it is known to exist, but not to this source: ask again
+            return self.unanswered(Silence::Denied, actions); // it is known to exist, but not to this source: ask again
         }
         self.fetch = None;
-        self.failures = 0;
-        self.source_is_silent = false;
+        self.has_answered();
     }
 
     /// The source was asked after blocks had arrived that are numbered beyond its end: it never put them.
@@ -310,9 +349,18 @@ impl<B: Block> Follower<B> {
             self.deliver_up_to(seen_end, actions);
         }
         self.held.clear();
-        self.failures = 0;
-        self.source_is_silent = false;
+        self.has_answered();
         self.position = Some(Position::new(epoch, Some(source), 0));
+        if let Some(later) = self.later.take_if(|later| later.header().epoch <= epoch)
+            && later.header().epoch == epoch
+        {
+            self.accept(later, actions);
+        }
+    }
+
+    /// Whether a block is of a later epoch, and this one may go on behind what has been delivered.
+    fn leaves_the_epoch(&self, block: &B) -> bool {
+        self.position.as_ref().is_some_and(|p| block.header().epoch > p.epoch && !p.ended)
     }
 
     fn see_end(&mut self, end: u64) {
@@ -321,7 +369,12 @@ impl<B: Block> Follower<B> {
         }
     }
 
+    /// Whether there is something to ask for: items, or what is left of an epoch.
     fn is_missing(&self) -> bool {
+        self.later.is_some() || self.lacks_items()
+    }
+
+    fn lacks_items(&self) -> bool {
         self.position.as_ref().is_some_and(|p| p.seen_end > p.next)
     }
 
@@ -396,6 +449,12 @@ impl<B: Block> Follower<B> {
 
     /// The source does not have what is missing: goes on behind it.
     fn give_up(&mut self, actions: &mut VecDeque<Action<B>>) {
+        if let Some(later) = self.later.take() {
+            if self.enter_epoch(&later, actions) {
+                self.accept(later, actions);
+            }
+            return;
+        }
         let ahead = self.held.first_key_value().map(|(sequence, _)| *sequence);
         let seen_end = self.position.as_ref().map_or(0, |p| p.seen_end);
         self.deliver_up_to(ahead.unwrap_or(seen_end), actions);
@@ -414,7 +473,8 @@ impl<B: Block> Follower<B> {
             (None, Start::Now) => u64::MAX, // only asks where the stream stands
             (None, Start::Beginning | Start::At { .. }) => 0,
         };
-        self.fetch = Some(Fetching { after, seen_end: self.position.as_ref().map_or(0, |p| p.seen_end) });
+        let seen_end = self.position.as_ref().map_or(0, |p| p.seen_end);
+        self.fetch = Some(Fetching { after, seen_end, later: self.later.is_some() });
         actions.push_back(Action::Fetch {
             range: QueryRange { after, limit: self.limit, epoch: self.position.as_ref().map(|p| p.epoch) },
             failures: self.failures,

@@ -206,6 +206,12 @@ impl Keys {
         self.below(&format!("status/{}/{id}", service.as_str()))
     }
 
+    /// Status of all instances of one service.
+    #[must_use]
+    pub fn statuses(&self, service: Service) -> String {
+        self.below(&format!("status/{}/*", service.as_str()))
+    }
+
     /// Status of all instances of all services.
     #[must_use]
     pub fn all_statuses(&self) -> String {

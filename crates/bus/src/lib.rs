@@ -66,18 +66,18 @@ pub use archive::Archive;
 pub use arrivals::Arrivals;
 pub use endpoint::{in_order, is_loopback};
 pub use error::{BusError, ZenohError};
-pub use follow::{Action, Delivery, FollowCounts, Follower, Gap, Silence, Start};
+pub use follow::{Action, Delivery, FollowCounts, Follower, Gap, Patience, Silence, Start};
 pub use grid::{MAX_RATE_HZ, MIN_RATE_HZ, TimeGrid};
 pub use keys::{DEFAULT_ROOT, KeyFamily, Keys, Service, Topic, parse_key};
 pub use live::{LiveToken, LiveWatch};
 pub use message::{
     Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChannelState, ClassCalibration, ClassPlausibility,
     CredibleInterval, DecodeError, Description, EncodeError, Estimate, EstimateBlock, EstimateFlags, Event, EventKind,
-    FeedbackMessage, Format, FrameBlock, Header, HistoryLog, HistoryRows, HistorySpan, LocalDensity, LocalMessage,
-    MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message, ModelClassDisplay,
-    MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay, Pace,
-    ParameterDisplay, Phase, Progress, SampleBlock, ScreenedChannel, Status, StreamState, ToldMotion, ToldSamples,
-    is_without_date,
+    FeedbackMessage, Format, FrameBlock, Header, HistoryLog, HistoryRows, HistorySpan, Load, LocalDensity,
+    LocalMessage, MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message,
+    ModelClassDisplay, MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay,
+    Pace, ParameterDisplay, Phase, Progress, SampleBlock, ScreenedChannel, Status, StreamState, ToldMotion,
+    ToldSamples, is_without_date,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};

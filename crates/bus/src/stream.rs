@@ -15,7 +15,7 @@ use zenoh::sample::Sample;
 
 use crate::buffer::{Buffer, Fetched};
 use crate::error::BusError;
-use crate::follow::{Action, Delivery, FollowCounts, Follower, Gap, Silence, Start};
+use crate::follow::{Action, Delivery, FollowCounts, Follower, Gap, Patience, Silence, Start};
 use crate::message::{Block, CaughtUp, DecodeError, SampleBlock};
 use crate::range::QueryRange;
 use crate::receive::{Intake, read};
@@ -32,6 +32,8 @@ const FIRST_PAUSE: Duration = Duration::from_millis(50);
 pub struct StreamSettings {
     /// Where to start.
     pub start: Start,
+    /// How long missing items are asked for.
+    pub patience: Patience,
     /// Messages waiting between Zenoh and the reader; when it is full the newest is dropped, and fetched later.
     pub queue: usize,
     /// Blocks waiting for the consumer; when it is full the reader waits.
@@ -50,12 +52,19 @@ impl StreamSettings {
     pub fn new(start: Start) -> Self {
         Self {
             start,
+            patience: Patience::Limited,
             queue: 256,
             deliveries: 64,
             fetch_limit: 4096,
             idle: Duration::from_millis(300),
             fetch_timeout: Duration::from_secs(2),
         }
+    }
+
+    /// As these, of a source that keeps what it has put: what is missing is asked for until it answers.
+    #[must_use]
+    pub fn patient(self) -> Self {
+        Self { patience: Patience::UntilAnswered, ..self }
     }
 }
 
@@ -175,7 +184,7 @@ impl Bus {
             .map_err(|source| BusError::Declare { key: key.clone(), source })?;
         let buffer = self.buffer(buffer_key, settings.fetch_timeout).await?;
         let reader = Reader {
-            follower: Follower::new(settings.start, settings.fetch_limit),
+            follower: Follower::new(settings.start, settings.fetch_limit, settings.patience),
             actions: VecDeque::new(),
             fetch: None,
             polls: 0,
@@ -281,11 +290,11 @@ impl<B: Block> Reader<B> {
     fn fetched(&mut self, fetched: Fetched<B>) {
         self.fetch = None;
         match fetched {
-            Fetched::Answer(Answer::Block(block)) if !self.fits(&block) => self.unanswered(Silence::NoAnswer),
+            Fetched::Answer(Answer::Block(block)) if !self.fits(&block) => self.unanswered(Silence::Denied),
             Fetched::Answer(answer) => self.follower.answered(answer, &mut self.actions),
             Fetched::Unreadable(error) => {
                 self.refuse(&error);
-                self.unanswered(Silence::NoAnswer);
+                self.unanswered(Silence::Denied);
             }
             Fetched::Nothing(silence) => self.unanswered(silence),
         }

@@ -38,6 +38,7 @@ struct Metrics {
     time: Gauges,
     age: Gauges,
     lag: Gauges,
+    behind: Gauges,
     done: Counters,
     dropped: Counters,
     restarts: Counters,
@@ -84,6 +85,7 @@ impl Metrics {
         gauge("measured_time_seconds", "Time of the newest value, seconds since the Unix epoch", &self.time);
         gauge("measured_age_seconds", "Time since something was heard of a structure", &self.age);
         gauge("lag_seconds", "Wall clock less time of the last frame done, by service", &self.lag);
+        gauge("frames_behind", "Frames that ingest has made and a service has not done", &self.behind);
         gauge("up", "1 if a service has shown that it is there", &self.up);
         registry.register("channel_rejected", "Samples of a channel that were rejected", self.rejected.clone());
         registry.register("frames_done", "Frames, or messages, that a service has done", self.done.clone());
@@ -155,6 +157,9 @@ impl Metrics {
                 let silent_s = now_ns().saturating_sub(status.time_ns) as f64 / 1e9;
                 self.lag.get_or_create(&labels).set(lag_s + silent_s.max(0.0));
             }
+            if let Some(behind) = status.frames_behind {
+                self.behind.get_or_create(&labels).set(behind as f64);
+            }
             self.done.get_or_create(&labels).inc_by(status.done);
             self.restarts.get_or_create(&labels).inc_by(status.restarts);
             for (reason, count) in &status.drops {
@@ -199,6 +204,8 @@ mod tests {
             time_ns: 0,
             lag_s: None,
             pace: None,
+            load: None,
+            frames_behind: None,
             done: 1,
             drops: [("a\"} 1\nspandrel_up 0 #".to_owned(), 3)].into(),
             restarts: 0,

@@ -265,7 +265,9 @@ impl Store {
                 | EventKind::NodeExcluded
                 | EventKind::NodeSilent
                 | EventKind::NodeBack
-                | EventKind::Gap => false,
+                | EventKind::Gap
+                | EventKind::Overloaded
+                | EventKind::CaughtUp => false,
             };
         }
         self.events.push_front(event);

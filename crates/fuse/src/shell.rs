@@ -236,6 +236,8 @@ impl FuseService {
             time_ns: now_ns,
             lag_s: self.core.done_ns().map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
             pace: None,
+            load: None,
+            frames_behind: None,
             done: self.core.done(),
             drops,
             restarts: 0,

@@ -16,6 +16,11 @@ impl Decimation {
         Self { frames_per_display: (sampling_rate_hz / display_rate_hz).max(1.0) }
     }
 
+    /// One in so many of the frames that this one shows.
+    pub(crate) fn one_in(self, times: u32) -> Self {
+        Self { frames_per_display: self.frames_per_display * f64::from(times) }
+    }
+
     pub(crate) fn shows(self, frame: u64) -> bool {
         let interval = |frame: u64| (frame as f64 / self.frames_per_display).floor();
         frame == 0 || interval(frame) > interval(frame - 1)
@@ -63,6 +68,9 @@ mod tests {
             let decimation = Decimation::new(rate, display);
             let shown = (0..(10.0 * rate) as u64).filter(|frame| decimation.shows(*frame)).count();
             assert_eq!(shown, expected, "{rate} Hz shown at {display} Hz");
+            let thinned = decimation.one_in(10);
+            let kept = (0..(10.0 * rate) as u64).filter(|frame| thinned.shows(*frame)).count();
+            assert_eq!(kept, expected / 10, "{rate} Hz shown at a tenth of {display} Hz");
         }
     }
 }

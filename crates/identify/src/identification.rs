@@ -29,6 +29,9 @@ const STUCK_SAMPLES: u64 = 50;
 /// Longest estimate block that one input makes: what comes of a long gap is cut.
 const LONGEST_BLOCK: usize = 4096;
 
+/// Of so many values for people one is shown where they are thinned.
+const THINNED: u32 = 10;
+
 pub use state::IdentificationState;
 
 /// Number of a frame in which the identification panics, so that tests see what becomes of it.
@@ -90,6 +93,9 @@ pub struct Identification {
     /// `None` where there is one model
     classes: Option<ClassView>,
     decimation: Decimation,
+    is_thinned: bool,
+    /// values for people that were left out and not yet told
+    shed: u64,
     stream: Option<Stream>,
     /// scratch: one frame as it came, then as the filter sees it
     frame: Vec<f64>,
@@ -202,6 +208,8 @@ impl Identification {
             excitation: vec![0.0; structure.excitation_channels().len()],
             frame: vec![f64::NAN; channels],
             decimation: Decimation::new(structure.sampling_rate_hz(), structure.display_rate_hz()),
+            is_thinned: false,
+            shed: 0,
             parameter_views,
             noise_names,
             responses: structure.estimated_responses().to_vec(),
@@ -239,6 +247,16 @@ impl Identification {
     #[must_use]
     pub fn restarts(&self) -> u64 {
         self.restarts
+    }
+
+    /// Shows values for people at a tenth of their rate from now on, or at the whole one: estimates do not change by it.
+    pub fn thin_display(&mut self, is_thinned: bool) {
+        self.is_thinned = is_thinned;
+    }
+
+    /// Returns how many values for people were left out for that since this was last asked.
+    pub fn take_shed(&mut self) -> u64 {
+        std::mem::take(&mut self.shed)
     }
 
     /// Returns the number of the first frame not yet done, 0 before the first.
@@ -369,7 +387,10 @@ impl Identification {
             stream.next = number + 1;
         }
         if self.decimation.shows(number) {
-            self.display(time_ns, outputs);
+            match self.is_thinned && !self.decimation.one_in(THINNED).shows(number) {
+                false => self.display(time_ns, outputs),
+                true => self.shed += self.values_displayed(),
+            }
         }
     }
 
@@ -488,6 +509,12 @@ impl Identification {
             estimates,
             state,
         }));
+    }
+
+    /// How many messages [`Self::display`] makes.
+    fn values_displayed(&self) -> u64 {
+        let classes = usize::from(self.classes.is_some());
+        (self.parameter_views.len() + self.noise_names.len() + classes + self.screening.len()) as u64
     }
 
     fn display(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {

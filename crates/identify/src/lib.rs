@@ -17,6 +17,7 @@ mod display;
 mod error;
 pub mod estimator;
 pub mod identification;
+mod load;
 mod memory;
 mod model_classes;
 pub mod node;

@@ -2,16 +2,19 @@
 
 use crate::error::IdentifyError;
 use crate::identification::{Identification, Input, Output};
+use crate::load::LoadState;
 use crate::memory::Memory;
 use crate::pool::FilterPool;
 use crate::trouble::Trouble;
 use spandrel_bus::{
     Block, Bus, BusError, Delivery, Description, DisplayPublisher, EstimateBlock, Event, EventKind, Forget, FrameBlock,
-    Keys, LatestPublisher, LiveToken, Message, ModelClassDisplay, Name, NoiseDisplay, NumberedPublisher,
-    NumberedStream, OutlierDisplay, ParameterDisplay, ProgressPublisher, Service, Start, Status, Stream, StreamState,
+    Keys, LatestPublisher, LiveToken, Load, Message, ModelClassDisplay, Name, NoiseDisplay, NumberedPublisher,
+    NumberedStream, OutlierDisplay, Pace, ParameterDisplay, ProgressPublisher, ProgressWatch, Service, Start, Status,
+    Stream, StreamState, Subscription,
 };
 use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::future::Future;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -24,6 +27,9 @@ const FORGET: Forget = Forget { at_least: 8_192, after: Duration::from_secs(30) 
 
 /// How often the status is put.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
+
+/// Statuses of ingest that wait to be read: the last one counts.
+const STATUSES_WAITING: usize = 4;
 
 /// Panics of one identification after which the service gives up: they are no longer single frames.
 const MOST_DEATHS: u64 = 100;
@@ -57,6 +63,13 @@ pub struct IdentifyService {
     last_time_ns: Option<i64>,
     epoch: u64,
     memory: Option<Memory>,
+    /// how far ingest is, and whether its samples wait for nobody
+    ingest: ProgressWatch,
+    ingest_statuses: Subscription<Status>,
+    pace: Option<Pace>,
+    load: LoadState,
+    /// values for people that were left out
+    shed: u64,
 }
 
 impl IdentifyService {
@@ -121,6 +134,8 @@ impl IdentifyService {
             .await?;
         let frames = follow_frames(structure, bus, &keys, start).await?;
         let progress = bus.publish_progress(keys.progress(Service::Identify), id.to_string()).await?;
+        let ingest = bus.watch_progress(keys.progress(Service::Ingest)).await?;
+        let ingest_statuses = bus.subscribe(keys.statuses(Service::Ingest), STATUSES_WAITING).await?;
         let last_time_ns = core.last_time_ns();
         if let Some((epoch, done)) = core.position() {
             // Sources may wait for what this service did last before it was killed, and could not say.
@@ -150,6 +165,11 @@ impl IdentifyService {
             last_time_ns,
             epoch,
             memory,
+            ingest,
+            ingest_statuses,
+            pace: None,
+            load: LoadState::new(),
+            shed: 0,
         };
         info!(
             structure = service.keys.structure().as_str(),
@@ -176,7 +196,11 @@ impl IdentifyService {
                     Ok(delivery) => self.take(delivery).await?,
                     Err(flume::RecvError::Disconnected) => break,
                 },
-                _ = status.tick() => self.put_status().await?,
+                _ = status.tick() => {
+                    if !self.look_at_the_load().await? {
+                        self.put_status().await?;
+                    }
+                }
                 () = &mut stop => break,
             }
         }
@@ -214,14 +238,16 @@ impl IdentifyService {
             let Some(mut core) = self.core.take() else {
                 return Err(IdentifyError::ThreadLost { structure: self.keys.structure().to_string() });
             };
+            core.thin_display(self.load.load() != Load::Normal);
             let work = self.pool.run(move || {
                 let mut outputs = Vec::new();
                 core.handle(input, &mut outputs);
                 (core, outputs)
             });
-            let Some((core, outputs)) = work.await else {
+            let Some((mut core, outputs)) = work.await else {
                 return self.revive(from, to).await; // what follows comes again
             };
+            self.shed += core.take_shed();
             self.core = Some(core);
             for output in outputs {
                 self.put(output).await?;
@@ -232,7 +258,43 @@ impl IdentifyService {
         if let (Some(memory), Some(core)) = (&mut self.memory, &self.core) {
             memory.keep_if_due(core).await;
         }
+        self.look_at_the_load().await?;
         Ok(())
+    }
+
+    /// Compares what is done with what ingest has made; a change of the load is told at once, and `true` returned.
+    async fn look_at_the_load(&mut self) -> Result<bool, IdentifyError> {
+        if let Some((_, status)) = self.ingest_statuses.messages().try_iter().last() {
+            self.pace = status.pace;
+        }
+        let Some(made) = self.ingest.latest() else {
+            return Ok(false); // nothing is known of ingest
+        };
+        let done = self.core.as_ref().map_or(0, Identification::done);
+        let behind = match made.header.epoch.cmp(&self.epoch) {
+            Ordering::Less => 0, // said in an earlier life
+            Ordering::Equal => made.done.saturating_sub(done),
+            Ordering::Greater => made.done, // and what is left of the epoch before
+        };
+        if !self.load.observe(behind, self.pace) {
+            return Ok(false);
+        }
+        self.put_status().await?;
+        let (kind, what) = match self.load.load() {
+            Load::DisplayShed => (EventKind::Overloaded, "values for people are put at a tenth of their rate"),
+            Load::Normal => (EventKind::CaughtUp, "values for people are put as ever"),
+            Load::Behind | Load::CatchingUp => return Ok(true),
+        };
+        let event = Event {
+            structure: self.keys.structure().clone(),
+            time_ns: self.last_time_ns.unwrap_or(0),
+            kind,
+            subject: self.service.to_string(),
+            what: what.to_owned(),
+            why: format!("identification is {behind} frames behind ingest"),
+        };
+        self.put(Output::Event(event)).await?;
+        Ok(true)
     }
 
     /// The identification has panicked in frames `from` to before `to`: goes back to its last checkpoint, and over the same frames
@@ -316,6 +378,9 @@ impl IdentifyService {
         if self.trouble.set_aside() > 0 {
             drops.insert("frames-set-aside".to_owned(), self.trouble.set_aside());
         }
+        if self.shed > 0 {
+            drops.insert("shed-values".to_owned(), self.shed);
+        }
         let status = Status {
             structure: self.keys.structure().clone(),
             service: self.service.clone(),
@@ -323,6 +388,8 @@ impl IdentifyService {
             time_ns: now_ns,
             lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
             pace: None,
+            load: Some(self.load.load()),
+            frames_behind: self.load.behind(),
             done: core.map_or(0, Identification::done),
             drops,
             restarts: core.map_or(0, Identification::restarts) + self.trouble.deaths(),
@@ -353,7 +420,7 @@ async fn follow_frames(
             true => Ok(()),
             false => Err("frames-of-another-structure"),
         };
-    bus.follow_fit(keys.frames(), keys.recording(), bus.reading(start), is_of_structure).await
+    bus.follow_fit(keys.frames(), keys.recording(), bus.reading(start).patient(), is_of_structure).await
 }
 
 /// Puts a message for people; one that holds no numbers is told of and left out, the service goes on.
@@ -375,7 +442,11 @@ pub fn log_event(event: &Event, start_ns: Option<i64>) {
     let time_s = start_ns.map(|start_ns| event.time_ns.saturating_sub(start_ns) as f64 / 1e9);
     let time_ns = start_ns.is_none().then_some(event.time_ns);
     match event.kind {
-        EventKind::Calibration | EventKind::LeadingClass | EventKind::NodeBack | EventKind::ChannelBack => {
+        EventKind::Calibration
+        | EventKind::LeadingClass
+        | EventKind::NodeBack
+        | EventKind::ChannelBack
+        | EventKind::CaughtUp => {
             info!(structure, subject, time_s, time_ns, what = event.what, why = event.why, "event");
         }
         EventKind::Restart
@@ -383,7 +454,8 @@ pub fn log_event(event: &Event, start_ns: Option<i64>) {
         | EventKind::NodeExcluded
         | EventKind::NodeSilent
         | EventKind::ChannelExcluded
-        | EventKind::Gap => {
+        | EventKind::Gap
+        | EventKind::Overloaded => {
             warn!(structure, subject, time_s, time_ns, what = event.what, why = event.why, "event");
         }
     }

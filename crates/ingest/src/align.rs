@@ -6,7 +6,7 @@
 //! not depend on the order in which blocks of different nodes arrive, nor on how the samples are cut into blocks, as long
 //! as no lateness is over.
 
-use spandrel_bus::{Block, FrameBlock, Header, SampleBlock, StreamState, TimeGrid};
+use spandrel_bus::{Block, FrameBlock, Header, Pace, SampleBlock, StreamState, TimeGrid};
 
 use crate::counts::Counts;
 use crate::layout::Layout;
@@ -195,13 +195,15 @@ impl Alignment {
 
     /// Whether a block belongs to frames that are closed, and not just because it is late.
     ///
-    /// So it is when a record is replayed again after its source was killed, or when clocks were set far back.
+    /// So it is when a record is replayed again after its source was killed, or when clocks were set far back. A live node that
+    /// was started again goes on in the same time, and may be a little behind the others for good.
     fn is_behind(&self, node: usize, block: &SampleBlock) -> bool {
         let Some(run) = &self.run else {
             return false;
         };
         let queue = &self.queues[node];
-        let restarted = queue.epoch.is_some_and(|epoch| block.header.epoch > epoch);
+        let is_replayed = block.pace == Pace::Replayed;
+        let restarted = is_replayed && queue.epoch.is_some_and(|epoch| block.header.epoch > epoch);
         let number = run.grid.nearest(block.header.time_ns);
         let next = run.next as i64;
         number < next && (restarted || queue.is_parked() || number.saturating_add(LONGEST_HOLE) < next)

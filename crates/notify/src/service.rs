@@ -269,6 +269,8 @@ impl NotifyService {
                 time_ns,
                 lag_s: None,
                 pace: None,
+                load: None,
+                frames_behind: None,
                 done: source.taken,
                 drops,
                 restarts: 0,

@@ -19,7 +19,7 @@ impl Rig {
     fn new(start: Start, capacity: u64, limit: u64) -> Self {
         Self {
             ring: Ring::new("source".into(), 1, capacity),
-            follower: Follower::new(start, limit),
+            follower: Follower::new(start, limit, Patience::Limited),
             actions: VecDeque::new(),
             fetch: None,
             got: Vec::new(),
@@ -452,4 +452,88 @@ fn of_a_source_that_keeps_nothing_only_what_is_lost_is_missing() {
     let lost = 1000 + 12 * BLOCKS_PER_FAILURE + 3;
     let came = |number| number >= 1000 && number != lost;
     assert_eq!(rig.items(), (0..end).map(|number| came(number).then_some(number)).collect::<Vec<_>>());
+}
+
+/// As [`Rig::new`], of a source that keeps what it puts.
+fn patient(limit: u64) -> Rig {
+    let mut rig = Rig::new(Start::Beginning, 100, limit);
+    rig.follower = Follower::new(Start::Beginning, limit, Patience::UntilAnswered);
+    rig
+}
+
+fn caught_up(epoch: u64, sequence: u64) -> Answer<FrameBlock> {
+    let header = Header { source: "source".into(), epoch, sequence, time_ns: 0 };
+    Answer::CaughtUp(CaughtUp { header, state: StreamState::Running })
+}
+
+// After eight questions it gave up what ingest, back after ten seconds, still had on its disk.
+#[test]
+fn of_a_source_that_keeps_its_items_nothing_is_given_up_while_it_is_away() {
+    let mut rig = patient(10);
+    let first = rig.put(1);
+    rig.put(1);
+    let third = rig.put(1);
+    rig.live(first);
+    rig.live(third);
+    for _ in 0..100 {
+        rig.fail();
+    }
+    rig.settle();
+    assert_eq!((rig.items(), rig.follower.counts().gap_items), (all(0..3), 0));
+}
+
+#[test]
+fn of_such_a_source_only_what_it_denies_is_given_up() {
+    let mut rig = patient(10);
+    rig.live(frames(1, 0, 1));
+    rig.live(frames(1, 5, 1));
+    for tries in 0..MAX_FAILURES {
+        assert_eq!(rig.items(), [Some(0)], "after {tries} tries");
+        rig.fail(); // does not count
+        assert!(rig.fetch.take().is_some());
+        rig.follower.answered(caught_up(1, 6), &mut rig.actions);
+        rig.work();
+    }
+    assert_eq!(rig.items(), [Some(0), None, None, None, None, Some(5)]);
+    assert_eq!(rig.fetch, None);
+}
+
+#[test]
+fn what_is_left_of_an_epoch_comes_before_the_next_one() {
+    let mut rig = patient(10);
+    rig.live(frames(1, 0, 2));
+    rig.live(frames(2, 0, 1)); // two frames between them have found no room
+    rig.live(frames(2, 1, 1));
+    assert_eq!((rig.fetch.map(|range| (range.epoch, range.after)), rig.items()), (Some((Some(1), 2)), all(0..2)));
+    rig.fail();
+    for kept in [frames(1, 2, 2), frames(2, 0, 2)] {
+        assert!(rig.fetch.take().is_some());
+        rig.follower.answered(Answer::Block(kept), &mut rig.actions);
+        rig.work();
+    }
+    let expected = [frames(1, 0, 2), frames(1, 2, 2), frames(2, 0, 1), frames(2, 1, 1)].map(Delivery::Block);
+    assert_eq!(rig.got, expected);
+}
+
+#[test]
+fn a_later_epoch_of_which_its_source_knows_nothing_is_not_believed() {
+    let mut rig = patient(10);
+    rig.live(frames(1, 0, 2));
+    rig.live(frames(9, 0, 1));
+    assert!(rig.fetch.take().is_some());
+    rig.follower.answered(caught_up(1, 2), &mut rig.actions);
+    rig.work();
+    rig.live(frames(1, 2, 1));
+    assert_eq!((rig.items(), rig.fetch, rig.follower.counts().impossible_blocks), (all(0..3), None, 1));
+}
+
+#[test]
+fn a_later_epoch_is_taken_up_where_nobody_can_be_asked() {
+    let mut rig = patient(10);
+    rig.live(frames(1, 0, 2));
+    rig.live(frames(2, 0, 3));
+    for _ in 0..MAX_FAILURES {
+        rig.fail_with(Silence::NoBuffer);
+    }
+    assert_eq!(rig.got, [frames(1, 0, 2), frames(2, 0, 3)].map(Delivery::Block));
 }

@@ -29,6 +29,10 @@ pub enum EventKind {
     ChannelBack,
     /// Items are lost for good.
     Gap,
+    /// Identification does not keep up: values for people are put less often.
+    Overloaded,
+    /// It has caught up again.
+    CaughtUp,
 }
 
 /// One event.

@@ -10,7 +10,34 @@ use crate::name::Name;
 /// Most reasons in one status: they come from a closed set.
 const MAX_REASONS: usize = 1024;
 
-/// Put once per second by every service.
+/// How a service keeps up with what it is given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Load {
+    /// It keeps up.
+    Normal,
+    /// It is overloaded: values for people are put at a tenth of their rate.
+    DisplayShed,
+    /// That was not enough: it falls behind, and reads from the recording.
+    Behind,
+    /// It was behind, and comes nearer.
+    CatchingUp,
+}
+
+impl Load {
+    /// The state as a word.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Normal => "normal",
+            Self::DisplayShed => "display-shed",
+            Self::Behind => "behind",
+            Self::CatchingUp => "catching-up",
+        }
+    }
+}
+
+/// Put once per second by every service, and when its load changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {
     /// The structure.
@@ -28,6 +55,12 @@ pub struct Status {
     pub pace: Option<Pace>,
     /// Number of the first item not yet done.
     pub done: u64,
+    /// How it keeps up, of a service that tells: identify.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub load: Option<Load>,
+    /// Frames that ingest has made and this service has not done, where that is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frames_behind: Option<u64>,
     /// What was dropped, lost or mended, counted by reason since the start.
     #[serde(deserialize_with = "bounded::counts::<_, MAX_REASONS>")]
     pub drops: BTreeMap<String, u64>,
@@ -87,6 +120,8 @@ mod tests {
             lag_s: Some(1.0),
             pace,
             done: 7,
+            load: None,
+            frames_behind: None,
             drops: BTreeMap::new(),
             restarts: 0,
             version: String::new(),
@@ -108,9 +143,15 @@ mod tests {
     #[test]
     fn a_status_without_pace_is_that_of_before() {
         let text = String::from_utf8(status(None).encode().unwrap()).unwrap();
-        assert!(!text.contains("pace"), "{text}");
+        for word in ["pace", "load", "frames_behind"] {
+            assert!(!text.contains(word), "{text}");
+        }
         assert_eq!(Status::decode("application/json", text.as_bytes()).unwrap(), status(None));
         let text = String::from_utf8(status(Some(Pace::Replayed)).encode().unwrap()).unwrap();
         assert!(text.contains(r#""pace":"replayed""#), "{text}");
+        for load in [Load::Normal, Load::DisplayShed, Load::Behind, Load::CatchingUp] {
+            let text = String::from_utf8(Status { load: Some(load), ..status(None) }.encode().unwrap()).unwrap();
+            assert!(text.contains(&format!(r#""load":"{}""#, load.as_str())), "{text}");
+        }
     }
 }

@@ -221,6 +221,8 @@ fn replaying(time_ns: i64) -> Input {
         time_ns,
         lag_s: Some(1e9),
         pace: Some(Pace::Replayed),
+        load: None,
+        frames_behind: None,
         done: 1,
         drops: std::collections::BTreeMap::new(),
         restarts: 0,

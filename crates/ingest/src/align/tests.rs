@@ -249,7 +249,7 @@ fn a_record_replayed_again_after_its_source_was_killed_gives_the_same_frames() {
     let mut alignment = alignment(&[1, 1]);
     let record = |epoch: u64| {
         let at = |node: usize, value: f64| {
-            let mut block = block(node, T0, &[value, value + 1.0]);
+            let mut block = SampleBlock { pace: Pace::Replayed, ..block(node, T0, &[value, value + 1.0]) };
             block.header.epoch = epoch;
             (node, block)
         };
@@ -276,6 +276,27 @@ fn a_node_that_alone_goes_back_is_late() {
     ];
     assert_eq!(values(&feed(&mut alignment, inputs)), [1.0, 10.0, 2.0, 20.0, 3.0, 30.0]);
     assert_eq!(alignment.counts().late, 1);
+}
+
+// It was left out for as long as its blocks came after the frames were closed without it.
+#[test]
+fn a_live_node_that_was_started_again_is_taken_back_however_late_its_blocks_come() {
+    let mut alignment = alignment(&[1, 1]);
+    let mut out = feed(&mut alignment, vec![(0, block(0, T0, &[1.0])), (1, block(1, T0, &[10.0]))]);
+    alignment.handle(Input::Lost { node: 1 }, &mut out);
+    for number in 1..4 {
+        let at = T0 + number * STEP;
+        let mut back = block(1, at, &[20.0]);
+        back.header.epoch = 2;
+        let inputs = vec![(0, block(0, at, &[2.0])), (1, back)];
+        out.extend(feed(&mut alignment, inputs));
+    }
+    assert_eq!(values(&out)[2..].iter().filter(|value| **value == 20.0).count(), 2);
+    assert_eq!(
+        alignment.counts().late + alignment.counts().duplicate,
+        1,
+        "of the frame that was closed before it came"
+    );
 }
 
 #[test]

@@ -4,7 +4,7 @@
 use super::heard::{Heard, Origin, StructureHeard};
 use super::structure_panel::leading_class;
 use super::wording::{duration, estimate, lag, nothing_measured, printable, time};
-use spandrel_bus::{AlertMessage, Name, Service};
+use spandrel_bus::{AlertMessage, Load, Name, Service};
 use std::fmt::Write as _;
 
 /// One change of an alert: `TIME alert STRUCTURE/PARAMETER STATE: SENTENCE`.
@@ -66,6 +66,9 @@ fn services(heard: &Heard, structure: &StructureHeard) -> String {
         let Some(status) = &instance.status else { continue };
         if let Some(lag_s) = status.lag_s.filter(|_| !structure.is_replayed()) {
             let _ = write!(text, " {}", lag(lag_s));
+        }
+        if let Some(load) = status.load.filter(|load| *load != Load::Normal) {
+            let _ = write!(text, " {}", load.as_str());
         }
         let dropped: u64 = status.drops.values().sum();
         if dropped > 0 {

@@ -11,7 +11,7 @@ use super::wording::{
 use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
-use spandrel_bus::{AlertMessage, ModelClassDisplay, Name, NoiseDisplay, Service};
+use spandrel_bus::{AlertMessage, Load, ModelClassDisplay, Name, NoiseDisplay, Service};
 
 /// Between columns.
 const GAP: &str = "  ";
@@ -322,6 +322,9 @@ fn service_item(heard: &Heard, structure: &StructureHeard, who: String, instance
             None => text.push_str(" waits for data"),
             Some(_) if structure.is_replayed() => {} // the times are those of a record
             Some(lag_s) => text.push_str(&format!(" {}", lag(lag_s))),
+        }
+        if let Some(load) = status.load.filter(|load| *load != Load::Normal) {
+            text.push_str(&format!(", {}, {} frames behind", load.as_str(), status.frames_behind.unwrap_or(0)));
         }
         for (reason, count) in status.drops.iter().filter(|(_, count)| **count > 0) {
             text.push_str(&format!(", {count} {}", printable(reason)));

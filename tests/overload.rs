@@ -1,0 +1,190 @@
+//! An identification that cannot keep up: it shows people less, then falls behind while all is recorded, then catches up; each state is
+//! told, and in the end its estimates are those of an unhurried run, to the bit.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
+
+mod support;
+
+use spandrel_bus::{
+    Bus, BusConfig, Event, EventKind, Load, Mode, ParameterDisplay, ProgressWatch, Service, Status, StreamState,
+    Subscription,
+};
+use support::{EstimateReader, Process, Sensors, Site, assert_same_bits, within};
+
+/// Rows of a block.
+const BLOCK: usize = 20;
+/// Frames on the way to ingest at most: it need not be overloaded.
+const WINDOW: u64 = 2_000;
+
+/// A tower of sixty storeys: some thousand frames a second on one core, where ingest makes many times as many.
+fn tower() -> String {
+    let storeys = |range: std::ops::RangeInclusive<u32>| -> String {
+        range.map(|storey| format!("\"storey-{storey}\"")).collect::<Vec<_>>().join(", ")
+    };
+    let parameter =
+        |name: &str, of: String| format!("[[parameter]]\nname = \"{name}\"\nscales = \"stiffness\"\nof = [{of}]\n");
+    let node = |floor: u32| {
+        format!(
+            "[[node]]\nname = \"floor-{floor}\"\n[[node.channel]]\nname = \"floor-{floor}\"\n\
+             quantity = \"absolute-acceleration\"\ndof = \"floor-{floor}\"\nunit = \"m/s2\"\nnoise-std = 0.005\n"
+        )
+    };
+    "[structure]\nname = \"tower\"\nsampling-rate-hz = 100\n\
+     [model]\nkind = \"shear-building\"\nstoreys = 60\nmass-kg = 20_000\nfirst-frequency-hz = 0.5\n\
+     [damping]\nkind = \"rayleigh\"\nratio = 0.02\n"
+        .to_owned()
+        + &parameter("lower", storeys(1..=30))
+        + &parameter("upper", storeys(31..=60))
+        + "[[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.1\nmeasured-on = \"ground\"\n\
+           [[node]]\nname = \"ground\"\n[[node.channel]]\nname = \"ground\"\n\
+           quantity = \"ground-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.005\n"
+        + &node(30)
+        + &node(60)
+        + "[ingest]\nlateness-s = 3600\n\
+           [[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 3\n"
+}
+
+/// Live sensors that put as fast as ingest takes, and what identify says meanwhile.
+struct Rush {
+    sensors: Sensors,
+    /// Rows put.
+    put: usize,
+    ingest: ProgressWatch,
+    identify: ProgressWatch,
+    statuses: Subscription<Status>,
+    /// States of identify, each once for as long as it lasts.
+    states: Vec<Load>,
+    last: Option<Status>,
+}
+
+impl Rush {
+    /// Keeps identification about so many frames behind, until it says that it is in a state.
+    async fn until(&mut self, state: Load, behind: u64) {
+        let done = |watch: &ProgressWatch| watch.latest().map_or(0, |progress| progress.done);
+        while self.states.last() != Some(&state) {
+            let (put, identified) = (self.put as u64, done(&self.identify));
+            assert!(self.put + BLOCK < self.sensors.record().len(), "the record is over before it is {state:?}");
+            if put - identified < behind {
+                within("ingest", self.ingest.wait_for(|progress| progress.done + WINDOW > put)).await;
+                self.put_block().await;
+                while let Ok((_, status)) = self.statuses.messages().try_recv() {
+                    self.note(status);
+                }
+            } else {
+                tokio::select! {
+                    _ = within("identify", self.identify.wait_for(|progress| progress.done > identified)) => {}
+                    status = self.statuses.messages().recv_async() => self.note(status.unwrap().1),
+                }
+            }
+        }
+    }
+
+    /// Waits, without a sample more, until identify says that it is in a state.
+    async fn wait_for(&mut self, state: Load) {
+        while self.states.last() != Some(&state) {
+            let status = within(&format!("state {state:?}"), self.statuses.messages().recv_async()).await;
+            self.note(status.unwrap().1);
+        }
+    }
+
+    async fn put_block(&mut self) {
+        self.sensors.put(self.put..self.put + BLOCK).await;
+        self.put += BLOCK;
+    }
+
+    fn note(&mut self, status: Status) {
+        let load = status.load.expect("identify tells its load");
+        if self.states.last() != Some(&load) {
+            self.states.push(load);
+        }
+        self.last = Some(status);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_overloaded_identification_sheds_display_falls_behind_and_catches_up_with_the_same_bits() {
+    let site = Site::with(&tower());
+    let mut record = site.simulate(900.0);
+    let config = BusConfig { mode: Mode::Router, listen: vec![site.endpoint().to_owned()], ..BusConfig::default() };
+    let _router = Bus::open(&config).await.unwrap();
+    let start = |service: &str, queue: &str| {
+        let mut command = site.connecting(service);
+        command.env("SPANDREL_BUS__MODE", "client").env("SPANDREL_BUS__QUEUE", queue);
+        let process = Process::start(&mut command);
+        process.wait_for_log("ready structures=1");
+        process
+    };
+    // A short queue: what identify cannot take at once is not hidden in it, but fetched from ingest, and soon from its disk.
+    let services = [start("alert", "256"), start("identify", "8"), start("ingest", "256")];
+    let (bus, keys) = (site.join().await, site.keys());
+    let mut reader = EstimateReader::join(&bus, &keys).await;
+    let events = bus.subscribe::<Event>(keys.event(), 256).await.unwrap();
+    let alert_statuses = bus.subscribe::<Status>(keys.statuses(Service::Alert), 4).await.unwrap();
+    let mut rush = Rush {
+        sensors: Sensors::start(&bus, &keys, site.structure(), &record).await,
+        put: 0,
+        ingest: bus.watch_progress(keys.progress(Service::Ingest)).await.unwrap(),
+        identify: bus.watch_progress(keys.progress(Service::Identify)).await.unwrap(),
+        statuses: bus.subscribe(keys.statuses(Service::Identify), 256).await.unwrap(),
+        states: Vec::new(),
+        last: None,
+    };
+    rush.wait_for(Load::Normal).await;
+    rush.put_block().await;
+    let read = tokio::spawn(async move { reader.read_to_end(1).await.to_vec() });
+
+    rush.until(Load::DisplayShed, 3_000).await;
+    rush.until(Load::Behind, 12_000).await;
+    // Ingest waits for nobody: all is recorded long before it is identified.
+    let put = rush.put as u64;
+    within("ingest", rush.ingest.wait_for(|progress| progress.done == put)).await;
+    rush.wait_for(Load::CatchingUp).await;
+    rush.wait_for(Load::Normal).await;
+    assert_eq!(
+        rush.states,
+        [Load::Normal, Load::DisplayShed, Load::Behind, Load::CatchingUp, Load::Normal],
+        "states told in the status"
+    );
+
+    // Values for people are back, ten in a second of measurement.
+    let displayed = bus.subscribe::<ParameterDisplay>(keys.all_parameters(), 4096).await.unwrap();
+    let mut times_ns = Vec::new();
+    while !times_ns.windows(2).any(|pair: &[i64]| pair[1] - pair[0] == 100_000_000) {
+        rush.put_block().await;
+        let (_, shown) = within("a displayed value", displayed.messages().recv_async()).await.unwrap();
+        times_ns.extend((shown.parameter.as_str() == "lower").then_some(shown.time_ns));
+    }
+    let rows = rush.put;
+    for node in ["ground", "floor-30", "floor-60"] {
+        rush.sensors.put_changed(node, rows..rows, |block| block.state = StreamState::Ended).await;
+    }
+
+    let found = within("the last estimate", read).await.unwrap();
+    record.cut(rows..record.len()).save_as("rushed.csv");
+    let unhurried = site.estimate(&record);
+    assert_same_bits("overloaded", &unhurried.parameters, &unhurried.frames, &found);
+
+    let decided = async {
+        loop {
+            let (_, status) = alert_statuses.messages().recv_async().await.unwrap();
+            if status.done == rows as u64 {
+                return status.drops;
+            }
+        }
+    };
+    let decided = within("decision on each estimate", decided).await;
+    let counted = rush.last.unwrap().drops;
+    for (service, drops) in [("alert", &decided), ("identify", &counted)] {
+        assert_eq!(drops.get("lost-items"), None, "{service}: {drops:?}");
+    }
+    assert!(counted["fetched-items"] > 8_192, "all came by itself: {counted:?}");
+    assert!(counted["shed-values"] > 0, "nothing was shed: {counted:?}");
+    let told: Vec<EventKind> = events.messages().try_iter().map(|(_, event)| event.kind).collect();
+    let of_load: Vec<&EventKind> =
+        told.iter().filter(|kind| matches!(kind, EventKind::Overloaded | EventKind::CaughtUp)).collect();
+    assert_eq!(of_load, [&EventKind::Overloaded, &EventKind::CaughtUp]);
+    println!("{rows} rows; identify counted {counted:?}");
+    for service in services.into_iter().rev() {
+        service.stop().expect_code(0);
+    }
+}
