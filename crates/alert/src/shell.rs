@@ -309,6 +309,7 @@ impl AlertService {
             time_ns: now_ns,
             lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
             pace: None,
+            state: None,
             done: self.done,
             drops,
             restarts: 0,

@@ -199,6 +199,7 @@ mod tests {
             time_ns: 0,
             lag_s: None,
             pace: None,
+            state: None,
             done: 1,
             drops: [("a\"} 1\nspandrel_up 0 #".to_owned(), 3)].into(),
             restarts: 0,

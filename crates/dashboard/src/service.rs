@@ -215,6 +215,7 @@ async fn listen(sources: &mut [Source], server: &Server, id: &Name) -> Result<()
                     time_ns,
                     lag_s: last_ns.map(|last_ns| time_ns.saturating_sub(last_ns) as f64 / 1e9),
                     pace: None,
+                    state: None,
                     done: source.taken,
                     drops: source.listening.refused(),
                     restarts: 0,

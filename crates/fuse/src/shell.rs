@@ -236,6 +236,7 @@ impl FuseService {
             time_ns: now_ns,
             lag_s: self.core.done_ns().map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
             pace: None,
+            state: None,
             done: self.core.done(),
             drops,
             restarts: 0,

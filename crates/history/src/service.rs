@@ -287,6 +287,7 @@ impl HistoryService {
                 time_ns,
                 lag_s: source.collector.newest_ns.map(|newest_ns| time_ns.saturating_sub(newest_ns) as f64 / 1e9),
                 pace: None,
+                state: None,
                 done: source.taken,
                 drops,
                 restarts: 0,

@@ -197,6 +197,7 @@ impl NodeService {
             time_ns: now_ns,
             lag_s: core.and_then(NodeIdentification::last_ns).map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
             pace: None,
+            state: None,
             done: core.map_or(0, NodeIdentification::done),
             drops,
             restarts: core.map_or(0, NodeIdentification::restarts),

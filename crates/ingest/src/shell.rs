@@ -387,6 +387,7 @@ impl IngestService {
             time_ns: now_ns,
             lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 * 1e-9),
             pace: self.pace_heard,
+            state: None,
             done: self.done,
             drops,
             restarts: 0,

@@ -190,6 +190,7 @@ impl NotifyService {
                 time_ns,
                 lag_s: None,
                 pace: None,
+                state: None,
                 done: source.taken,
                 drops,
                 restarts: 0,

@@ -76,7 +76,9 @@ async fn estimates_of_a_service_that_dies(remembering: Option<Remembering>) -> (
     let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
     let id = Name::new("identify").unwrap();
     let service =
-        IdentifyService::start(&structure(), &bus, keys.clone(), id, pool, remembering.as_ref()).await.unwrap();
+        IdentifyService::start(&structure(), &bus, keys.clone(), id, pool, remembering.as_ref(), Precedence::Leads)
+            .await
+            .unwrap();
     let estimates = bus
         .follow::<EstimateBlock>(keys.estimates(), keys.estimates_buffer(), bus.reading(Start::Beginning))
         .await

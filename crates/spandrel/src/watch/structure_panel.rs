@@ -11,7 +11,7 @@ use super::wording::{
 use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
-use spandrel_bus::{AlertMessage, ModelClassDisplay, Name, NoiseDisplay, Service};
+use spandrel_bus::{AlertMessage, ModelClassDisplay, Name, NoiseDisplay, Service, Standing};
 
 /// Between columns.
 const GAP: &str = "  ";
@@ -318,6 +318,11 @@ fn service_item(heard: &Heard, structure: &StructureHeard, who: String, instance
             None => text.push_str(" waits for data"),
             Some(_) if structure.is_replayed() => {} // the times are those of a record
             Some(lag_s) => text.push_str(&format!(" {}", lag(lag_s))),
+        }
+        match status.state {
+            None | Some(Standing::Leading) => {} // as it should be
+            Some(Standing::StandingBy) => text.push_str(", stands by"),
+            Some(Standing::Joining) => text.push_str(", joining"),
         }
         for (reason, count) in status.drops.iter().filter(|(_, count)| **count > 0) {
             text.push_str(&format!(", {count} {}", printable(reason)));

@@ -100,6 +100,7 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
         time_ns: TIME_NS,
         lag_s: Some(lag_s),
         pace: None,
+        state: None,
         done: 1200,
         drops: drops.iter().map(|(reason, count)| ((*reason).to_owned(), *count)).collect::<BTreeMap<_, _>>(),
         restarts: 0,
