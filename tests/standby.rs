@@ -133,6 +133,11 @@ impl Town {
     }
 }
 
+/// What is done to the processes has to come before the records end.
+fn assert_still_running(replays: &mut [Process]) {
+    assert!(replays.iter_mut().all(|replay| !replay.has_ended()), "the records ended too early");
+}
+
 /// A service of all structures as a client of the router.
 fn client(service: &str, sites: &[Site]) -> Command {
     let mut command = spandrel(service);
@@ -212,7 +217,7 @@ fn check_gaps(what: &str, readers: &[Reader], takeovers: usize) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_leader_that_is_killed_under_load_is_followed_within_three_seconds_by_the_same_bits() {
-    let town = Town::start(4, 60.0).await;
+    let town = Town::start(4, 100.0).await;
     let first = town.identify(&["--standby"]);
     town.until_standing(&[Standing::Leading]).await;
     let second = town.identify(&["--standby"]);
@@ -233,7 +238,7 @@ async fn a_leader_that_is_killed_under_load_is_followed_within_three_seconds_by_
     check_gaps("killed", &readers, 1);
 
     // the dead one has put something that comes late: of a lower term, it is refused
-    let alert = drops.when_done(Service::Alert, 6000).await;
+    let alert = drops.when_done(Service::Alert, 10_000).await;
     assert!(!alert.drops.contains_key("lost-items"), "{:?}", alert.drops);
     let mut late = EstimateBlock {
         header: spandrel_bus::Header { source: "identify".into(), epoch: u64::MAX, sequence: 0, time_ns: 0 },
@@ -259,13 +264,13 @@ async fn a_leader_that_is_killed_under_load_is_followed_within_three_seconds_by_
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_leader_that_was_frozen_finds_itself_superseded_and_stands_by() {
-    let town = Town::start(2, 150.0).await;
+    let town = Town::start(2, 300.0).await;
     let first = town.identify(&["--standby"]);
     town.until_standing(&[Standing::Leading]).await;
     let second = town.identify(&["--standby"]);
     town.until_standing(&[Standing::Leading, Standing::StandingBy]).await;
     let mut readers = town.read().await;
-    let replays = town.replay();
+    let mut replays = town.replay();
     for reader in &mut readers {
         reader.read_frames(1000).await;
     }
@@ -279,6 +284,7 @@ async fn a_leader_that_was_frozen_finds_itself_superseded_and_stands_by() {
     first.wait_for_log("superseded: another one leads");
     let readers: Vec<_> = readers.into_iter().map(Reader::read_to_end).collect();
     town.until_standing(&[Standing::Leading, Standing::StandingBy]).await;
+    assert_still_running(&mut replays);
     second.kill();
     let readers = town.finish(replays, readers).await;
     for reader in &readers {
@@ -296,11 +302,11 @@ async fn a_leader_that_was_frozen_finds_itself_superseded_and_stands_by() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn of_two_that_start_at_once_one_leads_and_a_standby_may_be_started_again() {
-    let town = Town::start(2, 60.0).await;
+    let town = Town::start(2, 300.0).await;
     let mut both = [town.identify(&["--standby"]), town.identify(&["--standby"])].map(Some);
     town.until_standing(&[Standing::Leading, Standing::StandingBy]).await;
     let mut readers = town.read().await;
-    let replays = town.replay();
+    let mut replays = town.replay();
     for reader in &mut readers {
         reader.read_frames(500).await;
     }
@@ -309,9 +315,11 @@ async fn of_two_that_start_at_once_one_leads_and_a_standby_may_be_started_again(
     let again = town.identify(&["--standby"]);
     let readers: Vec<_> = readers.into_iter().map(Reader::read_to_end).collect();
     town.until_standing(&[Standing::Leading, Standing::StandingBy]).await;
+    assert_still_running(&mut replays);
     both[1].take().unwrap().kill();
     let readers = town.finish(replays, readers).await;
     for reader in &readers {
+        assert!(reader.terms.len() > 1, "{}: one of the two that were killed led: {:?}", reader.of, reader.terms);
         let gaps: Vec<f64> = reader.terms.iter().skip(1).map(|(_, _, gap)| gap.as_secs_f64()).collect();
         println!("started again: {}: gaps {gaps:.3?} s", reader.of);
     }
@@ -321,20 +329,21 @@ async fn of_two_that_start_at_once_one_leads_and_a_standby_may_be_started_again(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_one_that_does_not_stand_by_leads_whoever_led_before() {
-    let town = Town::start(1, 60.0).await;
+    let town = Town::start(1, 200.0).await;
     let standby = town.identify(&["--standby"]);
     let before = town.until_standing(&[Standing::Leading]).await;
     assert!(before.starts_with("identify-"), "{before}");
     let mut readers = town.read().await;
-    let replays = town.replay();
+    let mut replays = town.replay();
     readers[0].read_frames(500).await;
     let first = town.identify(&[]);
     standby.wait_for_log("superseded: another one leads");
     let readers: Vec<_> = readers.into_iter().map(Reader::read_to_end).collect();
     assert_eq!(town.until_standing(&[Standing::Leading, Standing::StandingBy]).await, "identify");
+    assert_still_running(&mut replays);
     first.stop().expect_code(0);
     let readers = town.finish(replays, readers).await;
-    println!("stopped in order: terms {:?}", readers[0].terms);
+    check_gaps("stopped in order", &readers, 2);
     standby.stop().expect_code(0);
     town.close().await;
 }

@@ -18,6 +18,7 @@ pub enum Precedence {
 
 /// Where an identification stands.
 #[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "there is one for each structure")]
 pub(crate) enum Seat {
     /// Another one leads, whose state has not been taken yet: nothing is identified here.
     Joining,
@@ -126,7 +127,7 @@ mod tests {
     }
 
     fn numbers(held: Held) -> Vec<u64> {
-        let number = |output| match output {
+        let number = |output: Output| match output {
             Output::Responses(rows) => rows[0][0].0 as u64,
             other => panic!("{other:?}"),
         };

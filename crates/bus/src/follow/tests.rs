@@ -482,7 +482,7 @@ fn estimates(term: u64, source: &str, sequence: u64, count: usize) -> EstimateBl
 
 /// Number of the first item and term of each block delivered, and the number after the last.
 fn delivered(actions: &mut VecDeque<Action<EstimateBlock>>) -> Vec<(u64, u64, u64)> {
-    let delivery = |action| match action {
+    let delivery = |action: Action<EstimateBlock>| match action {
         Action::Deliver(Delivery::Block(block)) => Some((block.header.sequence, block.end(), block.term)),
         Action::Deliver(Delivery::Gap(gap)) => panic!("{gap:?}"),
         Action::Fetch { .. } => None,

@@ -1,6 +1,6 @@
 use super::*;
 use crate::identification::POISONED;
-use spandrel_bus::{Block, BusConfig, Header};
+use spandrel_bus::{Block, BusConfig, EstimateBlock, Header, NumberedStream};
 use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::atomic::Ordering;
