@@ -468,7 +468,7 @@ fn estimates(term: u64, source: &str, sequence: u64, count: usize) -> EstimateBl
         flags: EstimateFlags { phase: Phase::Working, restarted: false, prediction_only: false },
     };
     EstimateBlock {
-        header: Header { source: source.into(), epoch: 1, sequence, time_ns: 0 },
+        header: Header { source: source.into(), epoch: 1, sequence, time_ns: (sequence * 5_000_000) as i64 },
         term,
         t0_ns: 0,
         sampling_rate_hz: 200.0,
