@@ -288,6 +288,7 @@ async fn estimates_of_another_structure_are_refused() {
     let mut faulty = Faulty::start().await;
     let block = EstimateBlock {
         header: Header { source: "identify".to_owned(), epoch: u64::MAX - 1, sequence: 0, time_ns: 0 },
+        term: 0,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
         parameters: 7,

@@ -9,7 +9,7 @@ use spandrel_bus::{
     Bus, BusConfig, Delivery, EstimateBlock, FrameBlock, Keys, Name, Service, Start, Stream, StreamSettings,
     StreamState,
 };
-use spandrel_identify::{FilterPool, IdentifyService};
+use spandrel_identify::{FilterPool, IdentifyService, Precedence};
 use spandrel_ingest::{IngestService, IngestSettings, Waiting};
 use spandrel_sensor::{Clocks, NodePlan, SensorService, SensorSettings, Speed, simulated_rows};
 use std::convert::Infallible;
@@ -186,7 +186,9 @@ async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
     let settings = IngestSettings { id: id("ingest"), epoch: 1, waiting, recording: None };
     let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
     let alert = AlertService::start(structure, None, &bus, keys.clone(), id("alert"), None).await.unwrap();
-    let identify = IdentifyService::start(structure, &bus, keys.clone(), id("identify"), pool, None).await.unwrap();
+    let identify = IdentifyService::start(structure, &bus, keys.clone(), id("identify"), pool, None, Precedence::Leads)
+        .await
+        .unwrap();
     let ingest = IngestService::start(structure, &bus, keys.clone(), settings).await.unwrap();
     let services = [
         tokio::spawn(async { alert.run(std::future::pending()).await.unwrap() }),

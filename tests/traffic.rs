@@ -468,7 +468,10 @@ async fn traffic_of_a_node_on_the_wire_is_that_of_the_documentation() {
             assert_near(row, "payload up", of.payload_up, documented.payload_up, PAYLOAD_WITHIN);
         }
         if (of.payload_down - documented.payload_down).abs() > 1.0 + PAYLOAD_WITHIN * documented.payload_down {
-            println!("{row}: {:.0} bytes/s in answers for {}, {nodes:?} heard", of.payload_down, documented.payload_down);
+            println!(
+                "{row}: {:.0} bytes/s in answers for {}, {nodes:?} heard",
+                of.payload_down, documented.payload_down
+            );
         }
     }
 }

@@ -6,7 +6,7 @@ use libfuzzer_sys::fuzz_target;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, Description, EstimateBlock, Event, FeedbackMessage, FrameBlock,
     HistoryLog, HistorySpan, LocalMessage, Message, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
-    ParameterDisplay, Progress, SampleBlock, Status,
+    ParameterDisplay, Progress, SampleBlock, StateMessage, Status,
 };
 
 /// What decodes is sound, and can be sent on.
@@ -30,7 +30,7 @@ fn block<B: Block>(payload: &[u8]) {
     }
 }
 
-const TYPES: [fn(&[u8]); 19] = [
+const TYPES: [fn(&[u8]); 20] = [
     block::<SampleBlock>,
     block::<FrameBlock>,
     block::<EstimateBlock>,
@@ -50,6 +50,7 @@ const TYPES: [fn(&[u8]); 19] = [
     message::<Description>,
     message::<HistorySpan>,
     message::<HistoryLog>,
+    message::<StateMessage>,
 ];
 
 fuzz_target!(|bytes: &[u8]| {

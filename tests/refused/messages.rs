@@ -238,6 +238,7 @@ async fn estimates(table: &mut Table, running: &mut Running) {
     table.section("Messages on `estimates` of a later life");
     let block = EstimateBlock {
         header: Header { source: "identify".to_owned(), epoch: u64::MAX - 1, sequence: 0, time_ns: 0 },
+        term: 0,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
         parameters: 7,

@@ -114,6 +114,16 @@ impl Process {
         self.signal("-HUP");
     }
 
+    /// Stops it in the middle of whatever it does, as a machine does that swaps or is moved.
+    pub fn freeze(&self) {
+        self.signal("-STOP");
+    }
+
+    /// Lets it go on, as if no time had passed.
+    pub fn thaw(&self) {
+        self.signal("-CONT");
+    }
+
     fn signal(&self, signal: &str) {
         let sent = Command::new("kill").args([signal, &self.child.id().to_string()]).status();
         assert!(sent.is_ok_and(|status| status.success()), "cannot signal spandrel {}", self.name);

@@ -72,8 +72,10 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         Role::Worker => [
             each(Right::Subscribe, &[K::Samples, K::Frames, K::Local, K::Feedback]),
             each(Right::Put, &IDENTIFIED),
-            each(Right::Query, &[K::Buffer, K::Recording]),
-            each(Right::Answer, &[K::Recording, K::EstimatesBuffer, K::Description]),
+            each(Right::Query, &[K::Buffer, K::Recording, K::State]),
+            each(Right::Answer, &[K::Recording, K::EstimatesBuffer, K::Description, K::State]),
+            // workers agree among themselves which one leads
+            vec![(Right::Announce, K::Leader), (Right::Watch, K::Leader)],
             each(Right::Put, &[Service::Ingest, Service::Identify, Service::Fuse].map(K::Progress)),
             progress(Right::Subscribe),
             // whether the samples wait for identification, which decides from when on it is overloaded
@@ -159,6 +161,8 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Alert
         | K::Acknowledge
         | K::Progress(_)
+        | K::Leader
+        | K::State
         | K::Description
         | K::History
         | K::HistoryLog

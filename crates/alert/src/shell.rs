@@ -312,6 +312,7 @@ impl AlertService {
             pace: None,
             load: None,
             frames_behind: None,
+            state: None,
             done: self.done,
             drops,
             restarts: 0,

@@ -70,7 +70,9 @@ pub(crate) fn describe_end(subject: &Subject, end: &End) -> String {
                 format!("more than {loss}{counted} with probability {credibility} for {}", duration(rule.sustain_ns()))
             };
             let (from, to, found) = (asked(from), asked(to), probability(*found));
-            format!("its rule was changed from {from} to {to}, and the last estimate gives that loss probability {found}")
+            format!(
+                "its rule was changed from {from} to {to}, and the last estimate gives that loss probability {found}"
+            )
         }
         End::RuleAndModelChanged => {
             "its rule and the model of the structure file were changed, and identification begins anew".to_owned()

@@ -36,6 +36,7 @@ fn estimate(mean: f64) -> Estimate {
 fn block(sequence: u64, count: usize, mean: f64) -> EstimateBlock {
     EstimateBlock {
         header: Header { source: "identify-1".into(), epoch: 1, sequence, time_ns: sequence as i64 * 10_000_000 },
+        term: 0,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
         parameters: 1,

@@ -39,6 +39,12 @@ pub enum BusError {
         /// What is wrong with it.
         source: NameError,
     },
+    /// A claim to lead has no name that can be a chunk of a key.
+    #[error("a claim to lead has no name for the bus: {source}")]
+    Claim {
+        /// What is wrong with it.
+        source: NameError,
+    },
     /// A structure has no name that can be a chunk of a key.
     #[error("the structure has no name for the bus: {source}")]
     Structure {
@@ -48,6 +54,12 @@ pub enum BusError {
     /// A time to connect is none.
     #[error("bus.connect_timeout_s is {found}, must be a time from 0 s, or inf")]
     ConnectTimeout {
+        /// What was found, s.
+        found: f64,
+    },
+    /// A lease is none that can be kept.
+    #[error("bus.lease_s is {found}, must lie between 0.5 and 3600 s")]
+    Lease {
         /// What was found, s.
         found: f64,
     },

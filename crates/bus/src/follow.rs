@@ -97,6 +97,8 @@ pub struct FollowCounts {
     pub stale_blocks: u64,
     /// Blocks of another source in the same epoch.
     pub foreign_blocks: u64,
+    /// Blocks of a source that another one has superseded.
+    pub superseded_blocks: u64,
     /// Blocks ahead of a gap that could not be kept; they are fetched again.
     pub unkept_blocks: u64,
     /// Times that blocks were numbered beyond what their source says that it has put.
@@ -120,6 +122,8 @@ pub struct Follower<B> {
     start: Start,
     limit: u64,
     patience: Patience,
+    /// Highest term of leadership heard of.
+    term: u64,
     position: Option<Position>,
     held: BTreeMap<u64, B>,
     /// The first block that came of a later epoch, while something of this one may be left.
@@ -169,6 +173,7 @@ impl<B: Block> Follower<B> {
             start,
             limit,
             patience,
+            term: 0,
             position,
             held: BTreeMap::new(),
             later: None,
@@ -315,9 +320,23 @@ impl<B: Block> Follower<B> {
         self.deliver_held(actions);
     }
 
-    /// Takes up the epoch of a block; false if the block is not of this stream.
+    /// Takes up term and epoch of a block; false if the block is not of this stream.
+    ///
+    /// Who leads in a higher term puts the same stream, from then on alone: what has come of it stays, and goes on.
     fn enter_epoch(&mut self, block: &B, actions: &mut VecDeque<Action<B>>) -> bool {
         let header = block.header();
+        if block.term() < self.term {
+            self.counts.superseded_blocks += 1;
+            return false;
+        }
+        if block.term() > self.term {
+            self.term = block.term();
+            self.failures = 0;
+            self.source_is_silent = false;
+            if let Some(position) = &mut self.position {
+                position.source = None;
+            }
+        }
         let Some(position) = &mut self.position else {
             let next = match self.start {
                 Start::Beginning | Start::At { .. } => 0,

@@ -230,6 +230,24 @@ impl Keys {
         self.below(&format!("live/{}/*", service.as_str()))
     }
 
+    /// Liveliness token of a claim to lead the identification, under the name of the claim.
+    #[must_use]
+    pub fn leader(&self, claim: &Name) -> String {
+        self.below(&format!("leader/identify/{claim}"))
+    }
+
+    /// Claims of all who would lead the identification.
+    #[must_use]
+    pub fn all_leaders(&self) -> String {
+        self.below("leader/identify/*")
+    }
+
+    /// Queries for the state of the identification that leads.
+    #[must_use]
+    pub fn state(&self) -> String {
+        self.below("@state")
+    }
+
     /// Queries for the structure file as read.
     #[must_use]
     pub fn description(&self) -> String {
@@ -350,6 +368,10 @@ pub enum KeyFamily {
     Status(Service),
     /// [`Keys::live`], of an instance of this service
     Live(Service),
+    /// [`Keys::leader`], of a claim
+    Leader,
+    /// [`Keys::state`]
+    State,
     /// [`Keys::description`]
     Description,
     /// [`Keys::history`], of a parameter
@@ -392,6 +414,8 @@ impl KeyFamily {
             Self::Progress(service) => format!("progress/{}", service.as_str()),
             Self::Status(service) => format!("status/{}/{of}", service.as_str()),
             Self::Live(service) => format!("live/{}/{of}", service.as_str()),
+            Self::Leader => format!("leader/identify/{of}"),
+            Self::State => "@state".to_owned(),
             Self::Description => "description".to_owned(),
             Self::History => format!("history/{of}"),
             Self::HistoryLog => "@history-log".to_owned(),
@@ -422,7 +446,7 @@ impl KeyFamily {
         for of_service in [K::Progress, K::Status, K::Live] {
             all.extend(Service::ALL.map(of_service));
         }
-        all.extend([K::Description, K::History, K::HistoryLog, K::AlertLog]);
+        all.extend([K::Leader, K::State, K::Description, K::History, K::HistoryLog, K::AlertLog]);
         all
     }
 }
@@ -533,6 +557,8 @@ mod tests {
             (keys.history(&n), "spandrel/tower/history/storey-1"),
             (keys.history_log(), "spandrel/tower/@history-log"),
             (keys.alert_log(), "spandrel/tower/@alert-log"),
+            (keys.leader(&n), "spandrel/tower/leader/identify/storey-1"),
+            (keys.state(), "spandrel/tower/@state"),
         ];
         for (found, expected) in expected {
             assert_eq!(found, expected);
@@ -564,6 +590,8 @@ mod tests {
             keys.history(&n),
             keys.history_log(),
             keys.alert_log(),
+            keys.leader(&n),
+            keys.state(),
         ];
         used.extend(Service::ALL.map(|service| keys.progress(service)));
         used.extend(Service::ALL.map(|service| keys.status(service, &n)));
@@ -576,6 +604,7 @@ mod tests {
         assert_eq!(all(KeyFamily::Alert), keys.all_alerts());
         assert_eq!(all(KeyFamily::Acknowledge), keys.all_acknowledgements());
         assert_eq!(all(KeyFamily::Live(Service::Sensor)), keys.all_live(Service::Sensor));
+        assert_eq!(all(KeyFamily::Leader), keys.all_leaders());
         let statuses = KeyFamily::Status(Service::Fuse).expression_of_all_services(keys.root(), Some(keys.structure()));
         assert_eq!(statuses, Some(keys.all_statuses()));
     }

@@ -26,7 +26,7 @@
 //! - [`Ring`], [`Follower`]: keep the latest items of a stream; bring a stream into order (pure, no network)
 //! - [`Bus`]: the session, and what is declared on it: [`NumberedPublisher`] and [`Stream`] for what must be complete,
 //!   [`DisplayPublisher`] and [`Subscription`] for what people look at, [`LiveToken`] and [`LiveWatch`] for who is
-//!   there, [`ProgressPublisher`] and [`ProgressWatch`] for how far a service has come
+//!   there, [`Claim`] and [`Claims`] for who leads where several could, [`ProgressPublisher`] and [`ProgressWatch`] for how far a service has come
 //! - [`Arrivals`]: which values are measured now, and which are read again from the recording (pure, no network)
 //!
 //! The wrong room for a recording on disk, and for anything that decides: here nothing knows what the numbers mean.
@@ -48,6 +48,7 @@ mod ring;
 mod buffer;
 mod endpoint;
 mod error;
+mod leader;
 mod live;
 mod progress;
 mod protection;
@@ -69,6 +70,7 @@ pub use error::{BusError, ZenohError};
 pub use follow::{Action, Delivery, FollowCounts, Follower, Gap, Patience, Silence, Start};
 pub use grid::{MAX_RATE_HZ, MIN_RATE_HZ, TimeGrid};
 pub use keys::{DEFAULT_ROOT, KeyFamily, Keys, Service, Topic, parse_key};
+pub use leader::{Claim, Claims};
 pub use live::{LiveToken, LiveWatch};
 pub use message::{
     Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChannelState, ClassCalibration, ClassPlausibility,
@@ -76,12 +78,12 @@ pub use message::{
     FeedbackMessage, Format, FrameBlock, Header, HistoryLog, HistoryRows, HistorySpan, Load, LocalDensity,
     LocalMessage, MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message,
     ModelClassDisplay, MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay,
-    Pace, ParameterDisplay, Phase, Progress, SampleBlock, ScreenedChannel, Status, StreamState, ToldMotion,
-    ToldSamples, is_without_date,
+    Pace, ParameterDisplay, Phase, Progress, SampleBlock, ScreenedChannel, Standing, StateMessage, Status, StreamState,
+    ToldMotion, ToldSamples, is_without_date,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};
-pub use publish::{DisplayPublisher, LatestPublisher, NumberedPublisher, NumberedStream, Older};
+pub use publish::{DisplayPublisher, LatestPublisher, NumberedPublisher, NumberedStandby, NumberedStream, Older};
 pub use questions::{Question, Questions};
 pub use range::{QueryRange, RangeError};
 pub use ring::{Answer, Forget, NotConsecutive, Ring};

@@ -1,6 +1,7 @@
 //! Liveliness: who is there.
 
 use std::collections::BTreeSet;
+use std::time::Duration;
 
 use tokio::sync::watch;
 use zenoh::liveliness::LivelinessToken;
@@ -45,6 +46,28 @@ impl Bus {
             Ok(token) => Ok(LiveToken { token }),
             Err(source) => Err(BusError::Declare { key, source }),
         }
+    }
+
+    /// Asks the network which tokens match a `live` key expression now; what does not answer in time is left out.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key expression, or the session is closed.
+    pub async fn ask_who_is_there(
+        &self,
+        key_expression: &str,
+        timeout: Duration,
+    ) -> Result<BTreeSet<String>, BusError> {
+        let asked = self.session().liveliness().get(key_expression).timeout(timeout).await;
+        let refused = |source| BusError::Declare { key: key_expression.to_owned(), source };
+        let replies = match asked {
+            Ok(replies) => replies,
+            Err(source) => return Err(refused(source)),
+        };
+        let mut present = BTreeSet::new();
+        while let Ok(reply) = replies.recv_async().await {
+            present.extend(reply.result().ok().map(|token| token.key_expr().to_string()));
+        }
+        Ok(present)
     }
 
     /// Watches the tokens that match a `live` key expression, those already there included.

@@ -20,6 +20,7 @@ mod outlier;
 mod parameter;
 mod progress;
 mod samples;
+mod state;
 mod status;
 
 use serde::Serialize;
@@ -44,7 +45,8 @@ pub use outlier::{ChannelState, MaskedSpan, OutlierDisplay};
 pub use parameter::{CredibleInterval, ParameterDisplay};
 pub use progress::Progress;
 pub use samples::{NodeState, Pace, SampleBlock};
-pub use status::{Load, Status, is_without_date};
+pub use state::StateMessage;
+pub use status::{Load, Standing, Status, is_without_date};
 
 /// Largest payload accepted, in bytes; nothing larger is ever decoded or sent.
 pub const MAX_MESSAGE_BYTES: usize = 8 << 20;

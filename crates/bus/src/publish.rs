@@ -59,8 +59,22 @@ pub struct Older<B> {
 pub struct NumberedPublisher<B> {
     publisher: Publisher<'static>,
     ring: Arc<Mutex<Ring<B>>>,
+    _answering: Answering,
+}
+
+/// Answers queries for as long as it lives.
+#[derive(Debug)]
+struct Answering {
     _queryable: Queryable<()>,
-    _answering: JoinSet<()>,
+    _tasks: JoinSet<()>,
+}
+
+/// The blocks of a lossless stream that somebody else puts: kept in the same way, for the time when this source leads.
+#[derive(Debug)]
+pub struct NumberedStandby<B> {
+    publisher: Publisher<'static>,
+    buffer_key: String,
+    ring: Ring<B>,
 }
 
 impl Bus {
@@ -83,12 +97,33 @@ impl Bus {
     ) -> Result<NumberedPublisher<B>, BusError> {
         let NumberedStream { key, buffer_key, source, epoch, first, state, capacity, forget } = stream;
         let ring = Arc::new(Mutex::new(Ring::new(source, epoch, capacity).going_on(first, state).forgetting(forget)));
+        let answering = self.answer(buffer_key, ring.clone(), older).await?;
+        let publisher = declare_publisher::<B>(self.session(), key).await?;
+        Ok(NumberedPublisher { publisher, ring, _answering: answering })
+    }
+
+    /// Declares a lossless stream that another source puts, and that this one may come to lead: nothing is put nor answered till then.
+    ///
+    /// # Errors
+    /// As [`Bus::publish_numbered`].
+    pub async fn stand_by_numbered<B: Block>(&self, stream: NumberedStream) -> Result<NumberedStandby<B>, BusError> {
+        let NumberedStream { key, buffer_key, source, epoch, first, state, capacity, forget } = stream;
+        let ring = Ring::new(source, epoch, capacity).going_on(first, state).forgetting(forget);
+        let publisher = declare_publisher::<B>(self.session(), key).await?;
+        Ok(NumberedStandby { publisher, buffer_key, ring })
+    }
+
+    async fn answer<B: Block>(
+        &self,
+        buffer_key: String,
+        ring: Arc<Mutex<Ring<B>>>,
+        older: Option<Older<B>>,
+    ) -> Result<Answering, BusError> {
         let (queries, waiting) = flume::bounded(QUERIES_WAITING);
         let queryable = declare_queryable(self.session(), buffer_key, queries).await?;
-        let mut answering = JoinSet::new();
-        answering.spawn(answer_queries(ring.clone(), older, waiting));
-        let publisher = declare_publisher::<B>(self.session(), key).await?;
-        Ok(NumberedPublisher { publisher, ring, _queryable: queryable, _answering: answering })
+        let mut tasks = JoinSet::new();
+        tasks.spawn(answer_queries(ring, older, waiting));
+        Ok(Answering { _queryable: queryable, _tasks: tasks })
     }
 
     /// Declares a topic for people and dashboards: a value that the network cannot take is dropped.
@@ -168,20 +203,67 @@ impl<B: Block> NumberedPublisher<B> {
     ///
     /// # Errors
     /// The block does not continue the stream or is malformed, or the session is closed.
-    pub async fn put(&self, block: B) -> Result<(), BusError> {
-        let mut payload = encode(self.publisher.key_expr(), &block)?;
-        payload.shrink_to_fit(); // it stays
-        let payload = ZBytes::from(payload);
+    pub async fn put(&self, mut block: B) -> Result<(), BusError> {
+        block.set_term(lock(&self.ring).term());
+        let payload = encode_to_keep(self.publisher.key_expr(), &block)?;
         // Into the ring first: whoever sees a gap after this put finds the block there.
-        #[expect(
-            clippy::disallowed_methods,
-            reason = "how long blocks are kept goes by the time at which they were put"
-        )]
-        let now = Instant::now();
-        let pushed = lock(&self.ring).push(&block, payload.clone(), now);
-        pushed.map_err(|source| BusError::NotConsecutive { key: self.publisher.key_expr().to_string(), source })?;
+        push(&mut lock(&self.ring), self.publisher.key_expr(), &block, payload.clone())?;
         put_payload(&self.publisher, payload).await
     }
+
+    /// Puts what is kept from number `after` of an epoch on once more, as far as it is kept: the source before may have died before
+    /// it had put it.
+    ///
+    /// # Errors
+    /// The session is closed.
+    pub async fn put_again(&self, epoch: u64, after: u64) -> Result<(), BusError> {
+        let mut range = QueryRange { after, limit: u64::MAX, epoch: Some(epoch) };
+        loop {
+            let answer = lock(&self.ring).answer(&range);
+            let Answer::Block(block) = answer else { return Ok(()) };
+            put(&self.publisher, &block).await?;
+            if block.count() == 0 || block.state() == StreamState::Ended {
+                return Ok(());
+            }
+            range = QueryRange { after: block.end(), epoch: Some(block.header().epoch), ..range };
+        }
+    }
+}
+
+impl<B: Block> NumberedStandby<B> {
+    /// Keeps the next block, which somebody else puts.
+    ///
+    /// # Errors
+    /// The block does not continue the stream or is malformed.
+    pub fn keep(&mut self, block: &B) -> Result<(), BusError> {
+        let payload = encode_to_keep(self.publisher.key_expr(), block)?;
+        push(&mut self.ring, self.publisher.key_expr(), block, payload)
+    }
+
+    /// Puts the stream from now on in a term of leadership, which its readers prefer to all lower ones, and answers for what it has kept.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key, or the session is closed.
+    pub async fn lead(self, bus: &Bus, term: u64) -> Result<NumberedPublisher<B>, BusError> {
+        let Self { publisher, buffer_key, mut ring } = self;
+        ring.lead(term);
+        let ring = Arc::new(Mutex::new(ring));
+        let answering = bus.answer(buffer_key, ring.clone(), None).await?;
+        Ok(NumberedPublisher { publisher, ring, _answering: answering })
+    }
+}
+
+fn encode_to_keep<B: Block>(key: &KeyExpr<'_>, block: &B) -> Result<ZBytes, BusError> {
+    let mut payload = encode(key, block)?;
+    payload.shrink_to_fit(); // it stays
+    Ok(ZBytes::from(payload))
+}
+
+fn push<B: Block>(ring: &mut Ring<B>, key: &KeyExpr<'_>, block: &B, payload: ZBytes) -> Result<(), BusError> {
+    #[expect(clippy::disallowed_methods, reason = "how long blocks are kept goes by the time at which they were put")]
+    let now = Instant::now();
+    let pushed = ring.push(block, payload, now);
+    pushed.map_err(|source| BusError::NotConsecutive { key: key.to_string(), source })
 }
 
 async fn answer_queries<B: Block>(ring: Arc<Mutex<Ring<B>>>, older: Option<Older<B>>, queries: flume::Receiver<Query>) {

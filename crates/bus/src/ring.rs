@@ -19,6 +19,8 @@ pub(crate) const ANSWER_BYTES: usize = 256 << 10;
 pub struct Ring<B> {
     source: String,
     epoch: u64,
+    /// Term in which the source leads: it answers in that, also with what it kept before.
+    term: u64,
     blocks: VecDeque<Kept>,
     items: u64,
     capacity: u64,
@@ -86,7 +88,7 @@ impl<B: Block> Ring<B> {
     #[must_use]
     pub fn new(source: String, epoch: u64, capacity: u64) -> Self {
         let (blocks, state) = (VecDeque::new(), StreamState::Running);
-        Self { source, epoch, blocks, items: 0, capacity, next: 0, state, forget: None, block: PhantomData }
+        Self { source, epoch, term: 0, blocks, items: 0, capacity, next: 0, state, forget: None, block: PhantomData }
     }
 
     /// As [`Ring::new`], of a source that goes on at item `first` of its epoch: those before it are kept elsewhere, or nowhere.
@@ -99,6 +101,16 @@ impl<B: Block> Ring<B> {
     #[must_use]
     pub fn forgetting(self, forget: Option<Forget>) -> Self {
         Self { forget, ..self }
+    }
+
+    /// Answers in this term of leadership from now on.
+    pub(crate) fn lead(&mut self, term: u64) {
+        self.term = term;
+    }
+
+    /// Term in which the source leads.
+    pub(crate) fn term(&self) -> u64 {
+        self.term
     }
 
     /// The epoch.
@@ -156,7 +168,9 @@ impl<B: Block> Ring<B> {
             });
         }
         if restarts {
+            let term = self.term;
             *self = Self::new(header.source.clone(), header.epoch, self.capacity).forgetting(self.forget);
+            self.term = term;
         }
         self.source.clone_from(&block.header().source);
         self.next = block.end();
@@ -181,7 +195,7 @@ impl<B: Block> Ring<B> {
         let same_epoch = range.epoch.is_none_or(|epoch| epoch == self.epoch);
         let after = if same_epoch { range.after } else { 0 };
         let first = self.blocks.partition_point(|b| b.end() <= after);
-        let Some(mut answer) = self.blocks.get(first).and_then(Kept::decode::<B>) else {
+        let Some(mut answer) = self.blocks.get(first).and_then(|kept| self.decode(kept)) else {
             return self.answer_at_the_end(after);
         };
         answer.skip(after.saturating_sub(answer.header().sequence));
@@ -191,7 +205,7 @@ impl<B: Block> Ring<B> {
             if answer.count() >= limit {
                 break;
             }
-            let Some(mut block) = block.decode::<B>() else {
+            let Some(mut block) = self.decode(block) else {
                 break;
             };
             block.truncate(limit - answer.count());
@@ -203,10 +217,16 @@ impl<B: Block> Ring<B> {
         Answer::Block(answer)
     }
 
+    fn decode(&self, kept: &Kept) -> Option<B> {
+        let mut block = kept.decode::<B>()?;
+        block.set_term(self.term);
+        Some(block)
+    }
+
     /// Whoever has all items may still not know that the stream has ended.
     fn answer_at_the_end(&self, after: u64) -> Answer<B> {
         let has_all = self.state == StreamState::Ended && after == self.next;
-        match self.blocks.back().filter(|_| has_all).and_then(Kept::decode::<B>) {
+        match self.blocks.back().filter(|_| has_all).and_then(|kept| self.decode(kept)) {
             Some(mut end) => {
                 end.skip(end.count());
                 Answer::Block(end)

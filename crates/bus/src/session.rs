@@ -25,6 +25,9 @@ pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 /// Bytes that key, encoding and headers of the link may take around a payload.
 pub const AROUND_THE_PAYLOAD: usize = 65_536;
 
+/// Leases that can be kept: shorter ones end links that are merely busy.
+const LEASES_S: std::ops::RangeInclusive<f64> = 0.5..=3600.0;
+
 /// How long an endpoint is tried again when the reason of a failure is looked for.
 const DIAGNOSIS: Duration = Duration::from_millis(500);
 
@@ -84,6 +87,8 @@ pub struct BusConfig {
     pub connect: Vec<String>,
     /// Time within which they must, s; none: the session opens at once and keeps trying.
     pub connect_timeout_s: Option<f64>,
+    /// Time without a sign of life after which others take this process for gone, s; none: Zenoh's, 10 s.
+    pub lease_s: Option<f64>,
     /// Messages that wait for each reader of a lossless stream, at least 1; what finds no room is fetched later.
     pub queue: NonZeroUsize,
     /// Certificates, for endpoints `quic/…`; both sides have to show one of the same authority.
@@ -101,6 +106,7 @@ impl Default for BusConfig {
             listen: Vec::new(),
             connect: Vec::new(),
             connect_timeout_s: Some(5.0),
+            lease_s: None,
             queue: const { NonZeroUsize::new(256).unwrap() },
             tls: None,
             config_file: None,
@@ -122,6 +128,9 @@ impl BusConfig {
     fn zenoh_config(&self) -> Result<zenoh::Config, BusError> {
         if let Some(found) = self.connect_timeout_s.filter(|seconds| seconds.is_nan() || *seconds < 0.0) {
             return Err(BusError::ConnectTimeout { found });
+        }
+        if let Some(found) = self.lease_s.filter(|seconds| !LEASES_S.contains(seconds)) {
+            return Err(BusError::Lease { found });
         }
         let mut config = match &self.config_file {
             Some(path) => {
@@ -148,6 +157,9 @@ impl BusConfig {
             };
             set("connect/timeout_ms", timeout_ms.into())?;
             set("connect/exit_on_failure", fail.into())?;
+        }
+        if let Some(lease_s) = self.lease_s {
+            set("transport/link/tx/lease", ((lease_s * 1e3) as u64).into())?;
         }
         if let Some(tls) = &self.tls {
             let (certificate, key) = (text(&tls.certificate)?, text(&tls.key())?);

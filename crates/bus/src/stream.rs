@@ -94,6 +94,7 @@ impl StreamCounts {
             ("lost-items", follow.gap_items),
             ("stale-blocks", follow.stale_blocks),
             ("foreign-blocks", follow.foreign_blocks),
+            ("superseded-blocks", follow.superseded_blocks),
             ("unkept-blocks", follow.unkept_blocks),
             ("impossible-blocks", follow.impossible_blocks),
             ("overflowed-messages", self.overflowed),

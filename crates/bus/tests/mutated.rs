@@ -8,8 +8,8 @@ use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, Description, Estimate, EstimateBlock, EstimateFlags,
     Event, FeedbackMessage, FrameBlock, Header, HistoryLog, HistorySpan, LocalDensity, LocalMessage, MAX_MESSAGE_BYTES,
     MaskedSpan, Message, ModelClassDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay,
-    Pace, ParameterDisplay, Phase, Progress, SampleBlock, ScreenedChannel, Status, StreamState, ToldMotion,
-    ToldSamples,
+    Pace, ParameterDisplay, Phase, Progress, SampleBlock, ScreenedChannel, StateMessage, Status, StreamState,
+    ToldMotion, ToldSamples,
 };
 
 use std::path::Path;
@@ -90,6 +90,7 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
     };
     let estimates = EstimateBlock {
         header: header(),
+        term: 0,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
         parameters: 2,
@@ -183,6 +184,7 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
         text::<HistoryLog>(&format!(
             "{{\"structure\":\"demo\",\"alerts\":[{alert}],\"acknowledgements\":[{seen}],\"events\":[{event}]}}"
         )),
+        binary(&StateMessage { header: header(), term: 3, checkpoint: (0..200).collect() }, decode::<StateMessage>),
     ]
 }
 
@@ -309,7 +311,7 @@ proptest! {
 
     #[test]
     fn damaged_messages_give_an_error_or_a_sound_message(
-        which in 0usize..19,
+        which in 0usize..20,
         damages in proptest::collection::vec(damage(), 1..5),
     ) {
         let (name, mut bytes, decode) = messages().swap_remove(which);
@@ -318,7 +320,7 @@ proptest! {
     }
 
     #[test]
-    fn messages_of_another_type_give_an_error_or_a_sound_message(from in 0usize..19, to in 0usize..19) {
+    fn messages_of_another_type_give_an_error_or_a_sound_message(from in 0usize..20, to in 0usize..20) {
         let messages = messages();
         let (name, _, decode) = messages[to];
         check(name, &messages[from].1, decode);

@@ -1,8 +1,9 @@
 //! The bytes of a checkpoint: what it is of, the state, and a checksum over both.
 
-use crate::error::Refusal;
+use crate::error::{CheckpointError, Refusal};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use sha2::{Digest, Sha256};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// First bytes of each file.
 const MAGIC: &[u8; 8] = b"spandrel";
@@ -23,6 +24,27 @@ pub struct Identity {
     pub basis: String,
 }
 
+impl Identity {
+    /// Returns the bytes of a checkpoint.
+    ///
+    /// # Errors
+    /// The state cannot be written.
+    pub fn seal<T: Serialize>(&self, state: &T) -> Result<Vec<u8>, CheckpointError> {
+        seal(self, state).map_err(|source| CheckpointError::Encode { kind: self.kind, source })
+    }
+
+    /// Returns the state in the bytes of a checkpoint of this identity.
+    ///
+    /// # Errors
+    /// They are of something else, or damaged.
+    pub fn open<T: DeserializeOwned>(&self, bytes: &[u8]) -> Result<T, Refusal> {
+        // Where numbers in a state are absurd, what decodes its parts may panic (the sizes of a matrix overflow where that is
+        // checked): such bytes must not end the service at each of its starts.
+        let opened = catch_unwind(AssertUnwindSafe(|| open(self, bytes)));
+        opened.unwrap_or_else(|_| Err(Refusal::Content("a number in it is absurd".to_owned())))
+    }
+}
+
 /// Returns the SHA-256 of a text, for a state that keeps by itself what a part of it rests on.
 #[must_use]
 pub fn fingerprint(text: &str) -> [u8; CHECKSUM_BYTES] {
@@ -38,8 +60,7 @@ struct Label {
     basis_sha256: [u8; CHECKSUM_BYTES],
 }
 
-/// Returns the bytes of a checkpoint.
-pub(crate) fn seal<T: Serialize>(identity: &Identity, state: &T) -> Result<Vec<u8>, postcard::Error> {
+fn seal<T: Serialize>(identity: &Identity, state: &T) -> Result<Vec<u8>, postcard::Error> {
     let label = Label {
         kind: identity.kind.to_owned(),
         version: identity.version,
@@ -55,8 +76,7 @@ pub(crate) fn seal<T: Serialize>(identity: &Identity, state: &T) -> Result<Vec<u
     Ok(bytes)
 }
 
-/// Returns the state in a checkpoint of this identity.
-pub(crate) fn open<T: DeserializeOwned>(identity: &Identity, bytes: &[u8]) -> Result<T, Refusal> {
+fn open<T: DeserializeOwned>(identity: &Identity, bytes: &[u8]) -> Result<T, Refusal> {
     let rest = bytes.strip_prefix(MAGIC).ok_or(Refusal::Foreign)?;
     let content = rest.len().checked_sub(CHECKSUM_BYTES).ok_or(Refusal::Damaged)?;
     let (content, checksum) = rest.split_at(content);

@@ -1,11 +1,10 @@
 //! The checkpoints of one service and structure: one file for each place.
 
-use crate::envelope::{Identity, open, seal};
+use crate::envelope::Identity;
 use crate::error::{CheckpointError, Refusal};
 use serde::{Serialize, de::DeserializeOwned};
 use std::fs::{self, File};
 use std::io::Write;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tracing::warn;
@@ -71,8 +70,7 @@ impl Checkpoints {
     /// # Errors
     /// The disk is full, or the file system refuses; what was kept before is untouched.
     pub fn save<T: Serialize>(&self, place: Place, state: &T) -> Result<(), CheckpointError> {
-        let kind = self.identity.kind;
-        let bytes = seal(&self.identity, state).map_err(|source| CheckpointError::Encode { kind, source })?;
+        let bytes = self.identity.seal(state)?;
         let path = self.path(place);
         let beside = path.with_extension("new");
         let written = write_whole(&beside, &path, &bytes, &self.folder);
@@ -138,7 +136,7 @@ impl Checkpoints {
         let mut refused = Vec::new();
         for place in places {
             let path = self.path(place);
-            match read(&path).and_then(|bytes| decode(&self.identity, &bytes)) {
+            match read(&path).and_then(|bytes| self.identity.open(&bytes)) {
                 Ok(state) => return Loaded { found: Some((place, state)), refused },
                 Err(why) => refused.push((set_aside(&path, &why), why)),
             }
@@ -176,13 +174,6 @@ fn read(path: &Path) -> Result<Vec<u8>, Refusal> {
         return Err(Refusal::Unreadable(format!("{length} bytes, a state has at most {MAX_BYTES}")));
     }
     fs::read(path).map_err(unreadable)
-}
-
-/// Opens a checkpoint. Where numbers in a state are absurd, what decodes its parts may panic (the sizes of a matrix overflow where
-/// that is checked): that file must not end the service at each of its starts.
-fn decode<T: DeserializeOwned>(identity: &Identity, bytes: &[u8]) -> Result<T, Refusal> {
-    let opened = catch_unwind(AssertUnwindSafe(|| open(identity, bytes)));
-    opened.unwrap_or_else(|_| Err(Refusal::Content("a number in it is absurd".to_owned())))
 }
 
 /// Renames a file, so that it is neither read again nor lost; returns its name from then on.

@@ -99,6 +99,7 @@ mod tests {
         };
         EstimateBlock {
             header: Header { source: "identify".into(), epoch: 1, sequence: first, time_ns: 0 },
+            term: 0,
             t0_ns: 1_000_000_000,
             sampling_rate_hz: 100.0,
             parameters: 0,

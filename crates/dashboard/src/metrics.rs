@@ -206,6 +206,7 @@ mod tests {
             pace: None,
             load: None,
             frames_behind: None,
+            state: None,
             done: 1,
             drops: [("a\"} 1\nspandrel_up 0 #".to_owned(), 3)].into(),
             restarts: 0,

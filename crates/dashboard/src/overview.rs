@@ -3,7 +3,7 @@
 use crate::sensors::{SensorHealth, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
-use spandrel_bus::{AlertMessage, AlertState, Phase, Service};
+use spandrel_bus::{AlertMessage, AlertState, Phase, Service, Standing};
 use std::time::Duration;
 
 /// For so long a structure of which nothing has come yet may just be starting.
@@ -132,11 +132,14 @@ fn alerts_in(store: &Store, state: AlertState) -> impl Iterator<Item = &AlertMes
     store.alerts.values().filter(move |alert| alert.state == state)
 }
 
-/// The lag of who puts the estimates: the station where nodes identify for themselves.
+/// The lag of who puts the estimates: the station where nodes identify for themselves, the one that leads where others stand by.
 fn lag_s(store: &Store) -> Option<f64> {
     let source = if store.about.distributed { Service::Fuse } else { Service::Identify };
-    let of_source = store.statuses.iter().find(|((service, _), _)| *service == source);
-    of_source.and_then(|(_, (status, _))| status.lag_s)
+    let of_source = store.statuses.iter().filter(|((service, _), (status, _))| {
+        *service == source && status.state.is_none_or(|state| state == Standing::Leading)
+    });
+    // of one that is gone the last status stays
+    of_source.max_by_key(|(_, (_, heard))| *heard).and_then(|(_, (status, _))| status.lag_s)
 }
 
 fn sensor_count(store: &Store) -> SensorCount {

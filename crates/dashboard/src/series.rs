@@ -9,6 +9,10 @@ const COMBINED: usize = 10;
 /// Combined points kept: 100 minutes at 10 Hz.
 const COARSE_KEPT: usize = 6_000;
 
+/// What lies before the last point by no more than this (ns) is what has been shown already: identify puts it again after a crash, and so
+/// does a standby that takes over.
+const AGAIN_NS: i64 = 10_000_000_000;
+
 /// How several values of one column become one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Combine {
@@ -47,16 +51,17 @@ impl Series {
         Self { combine, fine: table.clone(), coarse: table.clone(), waiting: table, pushed: 0, generation: 0 }
     }
 
-    /// Adds a point; what lies before the last one begins a new run of measurement, and the old one is forgotten.
+    /// Adds a point; what lies well before the last one begins a new run of measurement, and the old one is forgotten. What lies just
+    /// before it comes again, and is left out.
     pub(crate) fn push(&mut self, time_ns: i64, values: &[f64]) {
         match self.fine.times_ns.back() {
-            Some(last) if time_ns < *last => {
+            Some(last) if time_ns < last.saturating_sub(AGAIN_NS) => {
                 self.fine.clear();
                 self.coarse.clear();
                 self.waiting.clear();
                 self.generation += 1;
             }
-            Some(last) if time_ns == *last => return,
+            Some(last) if time_ns <= *last => return,
             Some(_) | None => {}
         }
         self.pushed += 1;
@@ -270,7 +275,20 @@ mod tests {
     #[test]
     fn time_that_goes_back_begins_anew() {
         let mut series = ramp(500);
+        let last = 499 + 2 * AGAIN_NS;
+        series.push(last, &[0.0, 1.0]);
+        series.push(last - AGAIN_NS - 1, &[0.0, 1.0]);
+        assert_eq!((series.generation(), series.first_ns(), series.fine.len()), (1, Some(499 + AGAIN_NS - 1), 1));
+    }
+
+    /// The plots of all that had been shown were gone when a second was put again.
+    #[test]
+    fn what_comes_again_changes_nothing() {
+        let mut series = ramp(500);
         series.push(3, &[0.0, 1.0]);
-        assert_eq!((series.generation(), series.first_ns(), series.fine.len()), (1, Some(3), 1));
+        series.push(499, &[0.0, 1.0]);
+        assert_eq!((series.generation(), series.first_ns(), series.fine.len()), (0, Some(0), 500));
+        series.push(500, &[0.0, 1.0]);
+        assert_eq!(series.fine.len(), 501);
     }
 }

@@ -219,6 +219,7 @@ async fn listen(sources: &mut [Source], server: &Server, id: &Name) -> Result<()
                     pace: None,
                     load: None,
                     frames_behind: None,
+                    state: None,
                     done: source.taken,
                     drops: source.listening.refused(),
                     restarts: 0,

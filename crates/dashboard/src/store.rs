@@ -259,6 +259,7 @@ impl Store {
                 EventKind::ChannelExcluded => self.excluded.insert(event.subject.clone()),
                 EventKind::ChannelBack => self.excluded.remove(&event.subject),
                 EventKind::Restart
+                | EventKind::Takeover
                 | EventKind::Calibration
                 | EventKind::Unidentified
                 | EventKind::LeadingClass

@@ -494,6 +494,7 @@ impl Fusion {
     ) -> EstimateBlock {
         EstimateBlock {
             header: Header { source: self.source.clone(), epoch: self.epoch, sequence: number, time_ns },
+            term: 0,
             t0_ns,
             sampling_rate_hz: self.rate_hz,
             parameters: self.parameters.len() as u16,

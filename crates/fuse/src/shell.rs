@@ -238,6 +238,7 @@ impl FuseService {
             pace: None,
             load: None,
             frames_behind: None,
+            state: None,
             done: self.core.done(),
             drops,
             restarts: 0,

@@ -293,6 +293,7 @@ impl HistoryService {
                 pace: None,
                 load: None,
                 frames_behind: None,
+                state: None,
                 done: source.taken,
                 drops,
                 restarts: 0,

@@ -501,6 +501,7 @@ impl Identification {
         }
         outputs.push(Output::Estimates(EstimateBlock {
             header: Header { source: self.source.clone(), epoch: stream.epoch, sequence: first, time_ns },
+            term: 0,
             t0_ns: stream.t0_ns,
             sampling_rate_hz: stream.sampling_rate_hz,
             parameters: self.parameter_views.len() as u16,

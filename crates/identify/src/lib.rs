@@ -10,10 +10,12 @@
 //! - [`node_shell`]: joins such a node to the bus
 //! - [`pool`]: the threads that filters run on
 //! - [`shell`]: joins the identification of a structure to the bus
+//! - [`Precedence`]: whether it leads or stands by where several processes identify one structure
 //!
 //! For a recording without a bus, drive the core directly, as `spandrel estimate` does.
 
 mod display;
+mod displays;
 mod error;
 pub mod estimator;
 pub mod identification;
@@ -25,6 +27,7 @@ mod node_screening;
 pub mod node_shell;
 pub mod pool;
 mod screening;
+mod seat;
 pub mod shell;
 mod trouble;
 
@@ -34,4 +37,5 @@ pub use identification::{Identification, IdentificationState, Input, Output};
 pub use node::{NodeIdentification, NodeInput, NodeOutput};
 pub use node_shell::NodeService;
 pub use pool::FilterPool;
+pub use seat::Precedence;
 pub use shell::{ESTIMATES_KEPT, IdentifyService, log_event};

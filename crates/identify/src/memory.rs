@@ -6,9 +6,19 @@ use spandrel_bus::{Progress, ProgressWatch};
 use spandrel_checkpoint::{CheckpointError, Checkpoints, Identity, Loaded, Place, Remembering};
 use spandrel_structure::Structure;
 use std::time::Duration;
-use tokio::task::JoinHandle;
+use tokio::task::{JoinHandle, block_in_place};
 use tokio::time::Instant;
 use tracing::{info, warn};
+
+/// What the state of the identification of a structure is of.
+pub(crate) fn identity(structure: &Structure) -> Identity {
+    Identity {
+        kind: "identify",
+        version: IdentificationState::VERSION,
+        of: structure.name().to_owned(),
+        basis: structure.identification_basis(),
+    }
+}
 
 /// The checkpoints of one identification.
 ///
@@ -17,6 +27,8 @@ use tracing::{info, warn};
 #[derive(Debug)]
 pub(crate) struct Memory {
     checkpoints: Checkpoints,
+    /// The terms in which this service has led, as epochs of files that hold nothing else.
+    terms: Checkpoints,
     every: Duration,
     last: Instant,
     /// one at a time, on a thread that may wait for the disk
@@ -34,14 +46,11 @@ impl Memory {
         remembering: &Remembering,
         alert: ProgressWatch,
     ) -> Result<Self, IdentifyError> {
-        let identity = Identity {
-            kind: "identify",
-            version: IdentificationState::VERSION,
-            of: structure.name().to_owned(),
-            basis: structure.identification_basis(),
-        };
+        // a term outlives every change of the structure file
+        let of_term = Identity { kind: "term", version: 1, of: structure.name().to_owned(), basis: String::new() };
         Ok(Self {
-            checkpoints: Checkpoints::open(&remembering.folder, identity)?,
+            checkpoints: Checkpoints::open(&remembering.folder, identity(structure))?,
+            terms: Checkpoints::open(&remembering.folder, of_term)?,
             every: remembering.every,
             last: Instant::now(),
             saving: None,
@@ -49,6 +58,22 @@ impl Memory {
             alert,
             failures: 0,
         })
+    }
+
+    /// Returns the highest term in which this service has led, 0 before the first.
+    pub(crate) fn last_term(&self) -> u64 {
+        self.terms.places().ok().and_then(|terms| terms.last().map(|term| term.epoch)).unwrap_or(0)
+    }
+
+    /// Keeps the term in which the service is about to lead: on return it is on the disk, or its failure has been told.
+    pub(crate) fn keep_term(&self, term: u64) {
+        let keep = || {
+            self.terms.save(Place { epoch: term, sequence: 0 }, &())?;
+            self.terms.forget_before(None)
+        };
+        if let Err(error) = block_in_place(keep) {
+            warn!(%error, term, "term not kept: if the clock is set back before the next start, readers will prefer this life to that one");
+        }
     }
 
     /// Returns the identification as it was at the oldest checkpoint that may still be needed, or `new` where there is none.

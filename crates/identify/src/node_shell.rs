@@ -199,6 +199,7 @@ impl NodeService {
             pace: None,
             load: None,
             frames_behind: None,
+            state: None,
             done: core.map_or(0, NodeIdentification::done),
             drops,
             restarts: core.map_or(0, NodeIdentification::restarts),

@@ -1,31 +1,30 @@
 //! Joins the identification of one structure to the bus.
 
+use crate::displays::Displays;
 use crate::error::IdentifyError;
 use crate::identification::{Identification, Input, Output};
 use crate::load::LoadState;
 use crate::memory::Memory;
 use crate::pool::FilterPool;
+use crate::seat::{Precedence, Seat, StandingBy};
 use crate::trouble::Trouble;
 use spandrel_bus::{
-    Block, Bus, BusError, Delivery, Description, DisplayPublisher, EstimateBlock, Event, EventKind, Forget, FrameBlock,
-    Keys, LatestPublisher, LiveToken, Load, Message, ModelClassDisplay, Name, NoiseDisplay, NumberedPublisher,
-    NumberedStream, OutlierDisplay, Pace, ParameterDisplay, ProgressPublisher, ProgressWatch, Service, Start, Status,
-    Stream, StreamState, Subscription,
+    Block, Bus, BusError, Claims, Delivery, DisplayPublisher, Event, EventKind, FrameBlock, Keys, LiveToken, LiveWatch,
+    Load, Name, Pace, ProgressWatch, Service, Start, Status, Stream, StreamState, Subscription,
 };
 use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
-use std::cmp::Ordering;
-use std::collections::BTreeMap;
 use std::future::Future;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tokio::time::Instant;
 use tracing::{debug, info, warn};
 
-/// Estimates kept for readers that missed some, for a while.
-pub const ESTIMATES_KEPT: u64 = 32_768;
-/// In live operation fewer: larger than the window that a replay keeps.
-const FORGET: Forget = Forget { at_least: 8_192, after: Duration::from_secs(30) };
+mod keeping_up;
+mod standing;
 
-/// How often the status is put.
+pub use standing::ESTIMATES_KEPT;
+
+/// How often the status is put, and what did not succeed is tried again.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
 
 /// Statuses of ingest that wait to be read: the last one counts.
@@ -40,21 +39,25 @@ const LAST_FRAMES: Duration = Duration::from_millis(100);
 /// The identification service of one structure.
 #[derive(Debug)]
 pub struct IdentifyService {
-    /// taken while a thread of the pool has it, and lost where that has panicked
+    /// taken while a thread of the pool has it, and lost where that has panicked; none while joining
     core: Option<Identification>,
     structure: Structure,
     bus: Bus,
     pool: FilterPool,
     trouble: Trouble,
-    frames: Stream<FrameBlock>,
-    estimates: NumberedPublisher<EstimateBlock>,
-    parameters: BTreeMap<Name, DisplayPublisher<ParameterDisplay>>,
-    noise: BTreeMap<Name, DisplayPublisher<NoiseDisplay>>,
-    outliers: BTreeMap<Name, DisplayPublisher<OutlierDisplay>>,
-    classes: Option<DisplayPublisher<ModelClassDisplay>>,
-    events: DisplayPublisher<Event>,
-    _description: LatestPublisher<Description>,
-    progress: ProgressPublisher,
+    /// none while joining
+    frames: Option<Stream<FrameBlock>>,
+    seat: Seat,
+    claims: Claims,
+    /// who delivers frames: where nobody does there is nothing to lead
+    ingest: LiveWatch,
+    /// what the one that leads has done
+    led: ProgressWatch,
+    /// highest term heard of
+    heard: u64,
+    awake: Instant,
+    failed_joins: u64,
+    displays: Displays,
     status: DisplayPublisher<Status>,
     keys: Keys,
     service: Name,
@@ -64,7 +67,7 @@ pub struct IdentifyService {
     epoch: u64,
     memory: Option<Memory>,
     /// how far ingest is, and whether its samples wait for nobody
-    ingest: ProgressWatch,
+    made: ProgressWatch,
     ingest_statuses: Subscription<Status>,
     pace: Option<Pace>,
     load: LoadState,
@@ -74,7 +77,7 @@ pub struct IdentifyService {
 
 impl IdentifyService {
     /// Checks everything and joins the bus; `id` names this instance, which goes on from its last checkpoint where
-    /// `remembering` says that it keeps any.
+    /// `remembering` says that it keeps any, or from the state of the one that leads.
     ///
     /// # Errors
     /// When the filter cannot be made, the checkpoints cannot be kept, or the bus refuses a declaration.
@@ -85,8 +88,8 @@ impl IdentifyService {
         id: Name,
         pool: FilterPool,
         remembering: Option<&Remembering>,
+        precedence: Precedence,
     ) -> Result<Self, IdentifyError> {
-        let new = || Identification::new(structure, id.as_str());
         let memory = match remembering {
             Some(remembering) => {
                 let alert = bus.watch_progress(keys.progress(Service::Alert)).await?;
@@ -94,88 +97,55 @@ impl IdentifyService {
             }
             None => None,
         };
-        let core = match &memory {
-            Some(memory) => memory.recall(new)?,
-            None => new()?,
-        };
-        let (epoch, first) = core.position().unwrap_or((0, 0)); // without a past: the epoch of the first frames
-        let start = start_of(&core);
-        let estimates = bus
-            .publish_numbered(NumberedStream {
-                key: keys.estimates(),
-                buffer_key: keys.estimates_buffer(),
-                source: id.to_string(),
-                epoch,
-                first,
-                state: StreamState::Running,
-                capacity: ESTIMATES_KEPT,
-                forget: Some(FORGET),
-            })
-            .await?;
-        let mut parameters = BTreeMap::new();
-        for name in core.parameter_names() {
-            parameters.insert(name.clone(), bus.publish_display(keys.parameter(name)).await?);
-        }
-        let mut noise = BTreeMap::new();
-        for name in core.noise_names() {
-            noise.insert(name.clone(), bus.publish_display(keys.noise(name)).await?);
-        }
-        let mut outliers = BTreeMap::new();
-        for name in core.screened_channels() {
-            outliers.insert(name.clone(), bus.publish_display(keys.outlier(name)).await?);
-        }
-        let classes = match core.compares_classes() {
-            true => Some(bus.publish_display(keys.model_class()).await?),
-            false => None,
-        };
-        let description = bus.publish_latest(keys.description()).await?;
-        description
-            .put(&Description { structure: keys.structure().clone(), text: structure.text().to_owned() })
-            .await?;
-        let frames = follow_frames(structure, bus, &keys, start).await?;
-        let progress = bus.publish_progress(keys.progress(Service::Identify), id.to_string()).await?;
-        let ingest = bus.watch_progress(keys.progress(Service::Ingest)).await?;
-        let ingest_statuses = bus.subscribe(keys.statuses(Service::Ingest), STATUSES_WAITING).await?;
-        let last_time_ns = core.last_time_ns();
-        if let Some((epoch, done)) = core.position() {
-            // Sources may wait for what this service did last before it was killed, and could not say.
-            progress.set(epoch, done, last_time_ns.unwrap_or(i64::MIN));
-        }
-        let service = Self {
+        let core = Identification::new(structure, id.as_str())?;
+        let mut service = Self {
             structure: structure.clone(),
-            bus: bus.clone(),
             trouble: Trouble::default(),
             pool,
-            frames,
-            estimates,
-            parameters,
-            noise,
-            outliers,
-            classes,
-            events: bus.publish_display(keys.event()).await?,
-            _description: description,
-            progress,
+            frames: None,
+            seat: Seat::Joining,
+            claims: bus.watch_claims(&keys).await?,
+            ingest: bus.watch_live(keys.all_live(Service::Ingest)).await?,
+            led: bus.watch_progress(keys.progress(Service::Identify)).await?,
+            heard: 0,
+            awake: Instant::now(),
+            failed_joins: 0,
+            displays: Displays::declare(&core, bus, &keys).await?,
             status: bus.publish_display(keys.status(Service::Identify, &id)).await?,
-            token: Some(bus.announce(keys.live(Service::Identify, &id)).await?),
-            core: Some(core),
+            token: None,
+            core: None,
             service: Name::new(Service::Identify.as_str())
                 .map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })?,
-            keys,
-            id,
-            last_time_ns,
-            epoch,
+            last_time_ns: None,
+            epoch: 0,
             memory,
-            ingest,
-            ingest_statuses,
+            made: bus.watch_progress(keys.progress(Service::Ingest)).await?,
+            ingest_statuses: bus.subscribe(keys.statuses(Service::Ingest), STATUSES_WAITING).await?,
             pace: None,
             load: LoadState::new(),
             shed: 0,
+            bus: bus.clone(),
+            keys,
+            id,
         };
+        let leader = bus.ask_who_leads(&service.keys, standing::WHO_LEADS_WITHIN).await?;
+        service.hear(leader.as_ref());
+        match precedence {
+            Precedence::Leads => {
+                service.begin().await?;
+                service.lead("it has been started").await?;
+            }
+            Precedence::StandsBy if leader.is_none() => service.begin().await?,
+            Precedence::StandsBy => {}
+        }
+        service.token = Some(bus.announce(service.keys.live(Service::Identify, &service.id)).await?);
+        let (parameters, noise_levels) = service.displays.counts();
         info!(
             structure = service.keys.structure().as_str(),
-            parameters = service.parameters.len(),
-            noise_levels = service.noise.len(),
+            parameters,
+            noise_levels,
             sampling_rate_hz = structure.sampling_rate_hz(),
+            state = ?service.seat.standing(),
             "identification ready"
         );
         Ok(service)
@@ -189,14 +159,17 @@ impl IdentifyService {
         tokio::pin!(stop);
         let mut status = tokio::time::interval(STATUS_EVERY);
         loop {
-            let deliveries = self.frames.deliveries().clone();
             // Not biased: at full speed frames never stop, and status and stop must still get their turn.
             tokio::select! {
-                delivery = deliveries.recv_async() => match delivery {
-                    Ok(delivery) => self.take(delivery).await?,
-                    Err(flume::RecvError::Disconnected) => break,
+                delivery = next(self.frames.as_ref()) => match delivery {
+                    Some(delivery) => self.take(delivery).await?,
+                    None => break,
                 },
+                question = self.seat.question() => self.answer(question),
+                () = self.claims.changed() => self.reconsider().await?,
+                _ = self.ingest.changed() => self.reconsider().await?,
                 _ = status.tick() => {
+                    self.reconsider().await?;
                     if !self.look_at_the_load().await? {
                         self.put_status().await?;
                     }
@@ -205,13 +178,14 @@ impl IdentifyService {
             }
         }
         // Ingest has stopped before: what it put last may still be on its way through the reader.
-        loop {
-            let deliveries = self.frames.deliveries().clone();
-            let Ok(Ok(delivery)) = tokio::time::timeout(LAST_FRAMES, deliveries.recv_async()).await else { break };
+        while let Ok(Some(delivery)) = tokio::time::timeout(LAST_FRAMES, next(self.frames.as_ref())).await {
             self.take(delivery).await?;
         }
         if let (Some(memory), Some(core)) = (self.memory.take(), &self.core) {
             memory.close(core).await;
+        }
+        if let Seat::Leading(leading) = self.seat {
+            leading.token.withdraw().await?; // who stands by takes over from what was put last
         }
         if let Some(token) = self.token.take() {
             token.withdraw().await?;
@@ -227,6 +201,10 @@ impl IdentifyService {
                     debug!(structure = self.keys.structure().as_str(), "last frames have come");
                 }
                 Input::Frames(block)
+            }
+            Delivery::Gap(_) if self.is_in_step() => {
+                self.leave(); // the one that leads may have these frames: its state tells
+                return Ok(());
             }
             Delivery::Gap(gap) => Input::Gap { from: gap.from, to: gap.to },
         };
@@ -249,12 +227,25 @@ impl IdentifyService {
             };
             self.shed += core.take_shed();
             self.core = Some(core);
+            if !self.has_kept_the_lead().await? {
+                return Ok(());
+            }
             for output in outputs {
-                self.put(output).await?;
+                self.say(output).await?;
             }
         }
         let done = self.core.as_ref().map_or(0, Identification::done);
-        self.progress.set(self.epoch, done, self.last_time_ns.unwrap_or(i64::MIN));
+        match &mut self.seat {
+            Seat::Leading(leading) => {
+                leading.progress.set(self.epoch, done, self.last_time_ns.unwrap_or(i64::MIN));
+            }
+            Seat::StandingBy(standing_by) => {
+                if let Some(led) = self.led.latest() {
+                    standing_by.held.done(&led);
+                }
+            }
+            Seat::Joining => {}
+        }
         if let (Some(memory), Some(core)) = (&mut self.memory, &self.core) {
             memory.keep_if_due(core).await;
         }
@@ -262,47 +253,21 @@ impl IdentifyService {
         Ok(())
     }
 
-    /// Compares what is done with what ingest has made; a change of the load is told at once, and `true` returned.
-    async fn look_at_the_load(&mut self) -> Result<bool, IdentifyError> {
-        if let Some((_, status)) = self.ingest_statuses.messages().try_iter().last() {
-            self.pace = status.pace;
-        }
-        let Some(made) = self.ingest.latest() else {
-            return Ok(false); // nothing is known of ingest
-        };
-        let done = self.core.as_ref().map_or(0, Identification::done);
-        let behind = match made.header.epoch.cmp(&self.epoch) {
-            Ordering::Less => 0, // said in an earlier life
-            Ordering::Equal => made.done.saturating_sub(done),
-            Ordering::Greater => made.done, // and what is left of the epoch before
-        };
-        if !self.load.observe(behind, self.pace) {
-            return Ok(false);
-        }
-        self.put_status().await?;
-        let (kind, what) = match self.load.load() {
-            Load::DisplayShed => (EventKind::Overloaded, "values for people are put at a tenth of their rate"),
-            Load::Normal => (EventKind::CaughtUp, "values for people are put as ever"),
-            Load::Behind | Load::CatchingUp => return Ok(true),
-        };
-        let event = Event {
-            structure: self.keys.structure().clone(),
-            time_ns: self.last_time_ns.unwrap_or(0),
-            kind,
-            subject: self.service.to_string(),
-            what: what.to_owned(),
-            why: format!("identification is {behind} frames behind ingest"),
-        };
-        self.put(Output::Event(event)).await?;
-        Ok(true)
+    /// Whether it does what another one does.
+    fn is_in_step(&self) -> bool {
+        matches!(&self.seat, Seat::StandingBy(StandingBy { in_step_with: Some(_), .. }))
     }
 
     /// The identification has panicked in frames `from` to before `to`: goes back to its last checkpoint, and over the same frames
-    /// again. All other structures are not touched.
+    /// again. All other structures are not touched. One that stands by takes the state of the one that leads instead.
     async fn revive(&mut self, from: u64, to: u64) -> Result<(), IdentifyError> {
         let set_aside = self.trouble.died(self.epoch, from, to);
         if self.trouble.deaths() > MOST_DEATHS {
             return Err(IdentifyError::ThreadLost { structure: self.keys.structure().to_string() });
+        }
+        if self.is_in_step() {
+            self.leave();
+            return Ok(());
         }
         let new = || Identification::new(&self.structure, self.id.as_str());
         let mut core = match &mut self.memory {
@@ -313,68 +278,58 @@ impl IdentifyService {
             core = new()?; // the estimates of an epoch that is over are not put again
         }
         let first = core.done();
-        self.estimates.take_back(first);
-        self.frames = follow_frames(&self.structure, &self.bus, &self.keys, start_of(&core)).await?;
+        let Seat::Leading(leading) = &self.seat else {
+            return self.stand_by(core, None).await;
+        };
+        leading.estimates.take_back(first);
+        self.frames = Some(follow_frames(&self.structure, &self.bus, &self.keys, start_of(&core)).await?);
         self.last_time_ns = core.last_time_ns();
         self.core = Some(core);
         let what = match set_aside {
             Some(frame) => format!("frame {frame} is set aside: it counts as missing"),
             None => format!("identification goes on from frame {first}"),
         };
+        let why = format!("it has panicked in frames {from} to {}", to.saturating_sub(1));
+        self.tell(EventKind::Restart, what, why).await
+    }
+
+    /// Tells people what has become of the identification.
+    async fn tell(&self, kind: EventKind, what: String, why: String) -> Result<(), IdentifyError> {
         let event = Event {
             structure: self.keys.structure().clone(),
             time_ns: self.last_time_ns.unwrap_or(0),
-            kind: EventKind::Restart,
+            kind,
             subject: "identify".to_owned(),
             what,
-            why: format!("it has panicked in frames {from} to {}", to.saturating_sub(1)),
+            why,
         };
-        self.put(Output::Event(event)).await
+        Ok(self.displays.put(&Output::Event(event)).await?)
     }
 
-    async fn put(&mut self, output: Output) -> Result<(), IdentifyError> {
-        match output {
-            Output::Estimates(block) => {
-                if let (Some(grid), Some(last)) = (block.grid(), block.estimates.len().checked_sub(1)) {
-                    self.last_time_ns = Some(grid.time_ns(block.header.sequence + last as u64));
-                }
-                self.estimates.put(block).await?;
+    /// Puts an output, or keeps it for the time when this one leads.
+    async fn say(&mut self, output: Output) -> Result<(), IdentifyError> {
+        if let Output::Estimates(block) = &output
+            && let (Some(grid), Some(last)) = (block.grid(), block.estimates.len().checked_sub(1))
+        {
+            self.last_time_ns = Some(grid.time_ns(block.header.sequence + last as u64));
+        }
+        match (&mut self.seat, output) {
+            (Seat::Leading(leading), Output::Estimates(block)) => leading.estimates.put(block).await?,
+            (Seat::Leading(_), output) => self.displays.put(&output).await?,
+            (Seat::StandingBy(standing_by), Output::Estimates(block)) => standing_by.estimates.keep(&block)?,
+            (Seat::StandingBy(standing_by), output) => {
+                let (epoch, end) = self.core.as_ref().and_then(Identification::position).unwrap_or((0, 0));
+                standing_by.held.keep(epoch, end, output);
             }
-            Output::Parameter(display) => {
-                if let Some(publisher) = self.parameters.get(&display.parameter) {
-                    show(publisher, &display).await?;
-                }
-            }
-            Output::Noise(display) => {
-                if let Some(publisher) = self.noise.get(&display.name) {
-                    show(publisher, &display).await?;
-                }
-            }
-            Output::Outliers(display) => {
-                if let Some(publisher) = self.outliers.get(&display.channel) {
-                    show(publisher, &display).await?;
-                }
-            }
-            Output::Classes(display) => {
-                if let Some(publisher) = &self.classes {
-                    show(publisher, &display).await?;
-                }
-            }
-            Output::Responses(_) => {} // for files
-            Output::Event(event) => {
-                log_event(&event, None);
-                self.events.put(&event).await?;
-            }
+            (Seat::Joining, _) => {} // nothing is identified then
         }
         Ok(())
     }
 
     async fn put_status(&self) -> Result<(), IdentifyError> {
-        #[expect(clippy::disallowed_methods, reason = "the status tells the lag behind the wall clock")]
-        let now = SystemTime::now();
-        let now_ns = now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64);
+        let now_ns = now_ns() as i64;
         let core = self.core.as_ref();
-        let mut drops = self.frames.counts().drops();
+        let mut drops = self.frames.as_ref().map(|frames| frames.counts().drops()).unwrap_or_default();
         if self.trouble.set_aside() > 0 {
             drops.insert("frames-set-aside".to_owned(), self.trouble.set_aside());
         }
@@ -388,6 +343,7 @@ impl IdentifyService {
             time_ns: now_ns,
             lag_s: self.last_time_ns.map(|time_ns| now_ns.saturating_sub(time_ns) as f64 / 1e9),
             pace: None,
+            state: Some(self.seat.standing()),
             load: Some(self.load.load()),
             frames_behind: self.load.behind(),
             done: core.map_or(0, Identification::done),
@@ -396,6 +352,21 @@ impl IdentifyService {
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
         Ok(self.status.put(&status).await?)
+    }
+}
+
+/// The clock on the wall, ns since the Unix epoch.
+fn now_ns() -> u64 {
+    #[expect(clippy::disallowed_methods, reason = "status and term are told by the clock on the wall")]
+    let now = SystemTime::now();
+    now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as u64)
+}
+
+/// Waits for the next frames; for ever where none are read.
+async fn next(frames: Option<&Stream<FrameBlock>>) -> Option<Delivery<FrameBlock>> {
+    match frames {
+        Some(frames) => frames.deliveries().recv_async().await.ok(),
+        None => std::future::pending().await,
     }
 }
 
@@ -423,17 +394,6 @@ async fn follow_frames(
     bus.follow_fit(keys.frames(), keys.recording(), bus.reading(start).patient(), is_of_structure).await
 }
 
-/// Puts a message for people; one that holds no numbers is told of and left out, the service goes on.
-async fn show<M: Message>(publisher: &DisplayPublisher<M>, message: &M) -> Result<(), BusError> {
-    match publisher.put(message).await {
-        Err(error @ BusError::Encode { .. }) => {
-            warn!(%error, "not shown");
-            Ok(())
-        }
-        result => result,
-    }
-}
-
 /// Logs an event: what was mended or lost as a warning, what belongs to normal work as information.
 ///
 /// Its time of measurement is logged in ns since 1970 as on the bus, or in seconds since `start_ns` where a record has one.
@@ -450,6 +410,7 @@ pub fn log_event(event: &Event, start_ns: Option<i64>) {
             info!(structure, subject, time_s, time_ns, what = event.what, why = event.why, "event");
         }
         EventKind::Restart
+        | EventKind::Takeover
         | EventKind::Unidentified
         | EventKind::NodeExcluded
         | EventKind::NodeSilent

@@ -389,6 +389,7 @@ impl IngestService {
             pace: self.pace_heard,
             load: None,
             frames_behind: None,
+            state: None,
             done: self.done,
             drops,
             restarts: 0,

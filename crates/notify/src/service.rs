@@ -271,6 +271,7 @@ impl NotifyService {
                 pace: None,
                 load: None,
                 frames_behind: None,
+                state: None,
                 done: source.taken,
                 drops,
                 restarts: 0,

@@ -332,6 +332,10 @@ pub struct IdentifyArguments {
     /// Be the worker of this sensor node alone; may be repeated [default: all nodes that identify for themselves].
     #[arg(long, value_name = "NAME")]
     pub node: Vec<String>,
+    /// Stand by as long as another process identifies a structure, and take over when it is gone. Others take this process for gone
+    /// after 2 s without a sign of life then, unless bus.lease_s says otherwise.
+    #[arg(long, conflicts_with = "node")]
+    pub standby: bool,
 }
 
 #[derive(Debug, Args)]

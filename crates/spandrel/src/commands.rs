@@ -20,7 +20,9 @@ mod watch;
 
 use crate::cli::{Arguments, Command};
 use crate::error::AppError;
+use crate::services::Share;
 use clap::CommandFactory;
+use spandrel_identify::Precedence;
 use std::io::Write;
 use std::path::Path;
 
@@ -31,13 +33,17 @@ use std::path::Path;
 pub fn run(command: Command) -> Result<(), AppError> {
     match command {
         Command::Demo(arguments) => demo::run(arguments),
-        Command::Run(arguments) => run::run(&arguments.service, run::Services::ALL, &[], &arguments.page),
-        Command::Ingest(arguments) => run::one(&arguments, run::Services::INGEST, &[]),
-        Command::Identify(arguments) => run::one(&arguments.service, run::Services::IDENTIFY, &arguments.node),
-        Command::Fuse(arguments) => run::one(&arguments, run::Services::FUSE, &[]),
-        Command::Alert(arguments) => run::one(&arguments, run::Services::ALERT, &[]),
-        Command::History(arguments) => run::one(&arguments, run::Services::HISTORY, &[]),
-        Command::Notify(arguments) => run::one(&arguments, run::Services::NOTIFY, &[]),
+        Command::Run(arguments) => run::run(&arguments.service, run::Services::ALL, Share::ALL, &arguments.page),
+        Command::Ingest(arguments) => run::one(&arguments, run::Services::INGEST, Share::ALL),
+        Command::Identify(arguments) => {
+            let precedence = if arguments.standby { Precedence::StandsBy } else { Precedence::Leads };
+            let share = Share { nodes: &arguments.node, precedence };
+            run::one(&arguments.service, run::Services::IDENTIFY, share)
+        }
+        Command::Fuse(arguments) => run::one(&arguments, run::Services::FUSE, Share::ALL),
+        Command::Alert(arguments) => run::one(&arguments, run::Services::ALERT, Share::ALL),
+        Command::History(arguments) => run::one(&arguments, run::Services::HISTORY, Share::ALL),
+        Command::Notify(arguments) => run::one(&arguments, run::Services::NOTIFY, Share::ALL),
         Command::Dashboard(arguments) => dashboard::run(&arguments),
         Command::Simulate(arguments) => simulate::run(arguments),
         Command::Replay(arguments) => replay::run(arguments),

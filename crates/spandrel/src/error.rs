@@ -78,6 +78,14 @@ pub enum AppError {
         /// The nodes that do.
         known: String,
     },
+    /// Nodes that identify for themselves have no standby.
+    #[error(
+        "structure {structure} is identified by its nodes (identification = \"distributed\"), which have no standby; leave --standby out"
+    )]
+    NoStandbyOfNodes {
+        /// The structure.
+        structure: String,
+    },
     /// The structure has no node of this name.
     #[error("structure {structure} has no node `{name}`; its nodes: {known}")]
     UnknownNode {
@@ -242,6 +250,7 @@ impl AppError {
             | Self::NothingLearnt { .. }
             | Self::NoParameters { .. }
             | Self::NoSuchNode { .. }
+            | Self::NoStandbyOfNodes { .. }
             | Self::UnknownNode { .. }
             | Self::NothingToFuse
             | Self::NoPage
@@ -287,6 +296,7 @@ impl AppError {
                 | BusError::Root { .. }
                 | BusError::Structure { .. }
                 | BusError::ConnectTimeout { .. }
+                | BusError::Lease { .. }
                 | BusError::TlsOverTcp { .. }
                 | BusError::NotARouter { .. }
                 | BusError::PathNotText { .. }

@@ -9,7 +9,7 @@ use spandrel_bus::{Bus, Keys, Name};
 use spandrel_dashboard::{DashboardService, PageSettings};
 use spandrel_fuse::FuseService;
 use spandrel_history::{Address, HistoryService, Keep};
-use spandrel_identify::{FilterPool, IdentifyService, NodeService};
+use spandrel_identify::{FilterPool, IdentifyService, NodeService, Precedence};
 use spandrel_ingest::{IngestService, IngestSettings, Waiting};
 use spandrel_notify::{NotifyService, NotifySettings};
 use spandrel_structure::{Reference, Structure};
@@ -108,6 +108,20 @@ pub fn watch_structure(settings: &Settings, path: &Path) -> Result<Watched, AppE
         None => None,
     };
     Ok(Watched { structure, keys, baseline })
+}
+
+/// What of the identification a process takes upon itself.
+#[derive(Debug, Clone, Copy)]
+pub struct Share<'s> {
+    /// The nodes whose workers it is; none: all that identify for themselves.
+    pub nodes: &'s [String],
+    /// Whether it leads where others identify the same structure.
+    pub precedence: Precedence,
+}
+
+impl Share<'_> {
+    /// All of it.
+    pub const ALL: Share<'static> = Share { nodes: &[], precedence: Precedence::Leads };
 }
 
 /// The services of one process, joined to one session.
@@ -232,18 +246,19 @@ impl Running {
     }
 
     /// Starts the identification of each structure on one pool of threads: one worker, or one for each node where nodes
-    /// identify for themselves. With `only`, these nodes alone.
+    /// identify for themselves.
     ///
     /// # Errors
-    /// When one cannot start, or there is no such node.
+    /// When one cannot start, there is no such node, or nodes that identify for themselves should stand by.
     pub async fn start_identify(
         &mut self,
         bus: &Bus,
         watched: &[Watched],
         threads: Option<NonZeroUsize>,
-        only: &[String],
+        share: Share<'_>,
         state: Option<&State>,
     ) -> Result<(), AppError> {
+        let Share { nodes: only, precedence } = share;
         check_nodes(watched, only)?;
         let threads = threads.or_else(|| std::thread::available_parallelism().ok()).unwrap_or(NonZeroUsize::MIN);
         let no_thread = |source| AppError::Io { what: "cannot start a thread for the filters".to_owned(), source };
@@ -259,14 +274,19 @@ impl Running {
                 }
                 continue;
             }
-            let id = Name::new("identify")?;
+            let id = match precedence {
+                Precedence::Leads => Name::new("identify")?,
+                Precedence::StandsBy => Name::new(format!("identify-{:.8}", bus.instance()?.as_str()))?,
+            };
             let remembering = state.map(|state| state.remembering(keys));
             let (structure, bus, keys, pool) = (structure.clone(), bus.clone(), keys.clone(), pool.clone());
             let (name, stop) = (structure.name().to_owned(), self.identify.stop.subscribe());
             let start = move || {
                 let (structure, bus, keys, id) = (structure.clone(), bus.clone(), keys.clone(), id.clone());
                 let (pool, remembering) = (pool.clone(), remembering.clone());
-                async move { IdentifyService::start(&structure, &bus, keys, id, pool, remembering.as_ref()).await }
+                async move {
+                    IdentifyService::start(&structure, &bus, keys, id, pool, remembering.as_ref(), precedence).await
+                }
             };
             let (service, of_first) = (start().await?, stopped(stop.clone()));
             let next = move || {

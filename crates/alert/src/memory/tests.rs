@@ -39,6 +39,7 @@ fn second_of(state: &mut AlertState, means: [f64; 2]) -> Vec<Alert> {
     let sequence = state.watch.position().map_or(0, |(_, next)| next);
     let block = EstimateBlock {
         header: Header { source: "identify".into(), epoch: 1, sequence, time_ns: sequence as i64 * 10_000_000 },
+        term: 0,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
         parameters: 2,

@@ -34,6 +34,7 @@ fn estimate(means: [f64; 2], std: f64, phase: Phase) -> Estimate {
 fn block(epoch: u64, sequence: u64, estimates: Vec<Estimate>) -> EstimateBlock {
     EstimateBlock {
         header: Header { source: "identify-1".into(), epoch, sequence, time_ns: sequence as i64 * 10_000_000 },
+        term: 0,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
         parameters: 2,

@@ -2,7 +2,7 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 
 use super::*;
-use crate::message::{FrameBlock, Header};
+use crate::message::{Estimate, EstimateBlock, EstimateFlags, FrameBlock, Header, Phase};
 use crate::ring::Ring;
 use crate::testing::{frames, push};
 
@@ -536,4 +536,85 @@ fn a_later_epoch_is_taken_up_where_nobody_can_be_asked() {
         rig.fail_with(Silence::NoBuffer);
     }
     assert_eq!(rig.got, [frames(1, 0, 2), frames(2, 0, 3)].map(Delivery::Block));
+}
+
+/// Estimates of a frame without parameters, put by `source` in a term of leadership.
+fn estimates(term: u64, source: &str, sequence: u64, count: usize) -> EstimateBlock {
+    let estimate = Estimate {
+        mean: Vec::new(),
+        covariance: Vec::new(),
+        noise_mean: Vec::new(),
+        noise_covariance: Vec::new(),
+        innovations: Vec::new(),
+        normalised_innovation_squared: 0.0,
+        log_evidence: 0.0,
+        used_channels: 0,
+        flags: EstimateFlags { phase: Phase::Working, restarted: false, prediction_only: false },
+    };
+    EstimateBlock {
+        header: Header { source: source.into(), epoch: 1, sequence, time_ns: (sequence * 5_000_000) as i64 },
+        term,
+        t0_ns: 0,
+        sampling_rate_hz: 200.0,
+        parameters: 0,
+        noise_parameters: 0,
+        channels: 0,
+        estimates: vec![estimate; count],
+        state: StreamState::Running,
+    }
+}
+
+/// Number of the first item and term of each block delivered, and the number after the last.
+fn delivered(actions: &mut VecDeque<Action<EstimateBlock>>) -> Vec<(u64, u64, u64)> {
+    let delivery = |action: Action<EstimateBlock>| match action {
+        Action::Deliver(Delivery::Block(block)) => Some((block.header.sequence, block.end(), block.term)),
+        Action::Deliver(Delivery::Gap(gap)) => panic!("{gap:?}"),
+        Action::Fetch { .. } => None,
+    };
+    actions.drain(..).filter_map(delivery).collect()
+}
+
+#[test]
+fn who_leads_in_a_higher_term_goes_on_with_the_stream_and_the_one_before_is_refused() {
+    let (mut follower, mut actions) = (Follower::new(Start::Beginning, 100, Patience::UntilAnswered), VecDeque::new());
+    follower.live(estimates(7, "a", 0, 3), &mut actions);
+    follower.live(estimates(8, "b", 2, 4), &mut actions);
+    follower.live(estimates(7, "a", 3, 9), &mut actions); // it was frozen, and has not heard of the other one
+    follower.live(estimates(8, "b", 6, 1), &mut actions);
+    assert_eq!(delivered(&mut actions), [(0, 3, 7), (3, 6, 8), (6, 7, 8)]);
+    assert_eq!((follower.counts().superseded_blocks, follower.counts().foreign_blocks), (1, 0));
+}
+
+#[test]
+fn of_two_in_one_term_the_first_is_read() {
+    let (mut follower, mut actions) = (Follower::new(Start::Beginning, 100, Patience::UntilAnswered), VecDeque::new());
+    follower.live(estimates(7, "a", 0, 3), &mut actions);
+    follower.live(estimates(7, "b", 3, 3), &mut actions);
+    assert_eq!(delivered(&mut actions), [(0, 3, 7)]);
+    assert_eq!((follower.counts().superseded_blocks, follower.counts().foreign_blocks), (0, 1));
+}
+
+#[test]
+fn what_the_one_before_answers_is_asked_for_again_and_nothing_is_given_up() {
+    let (mut follower, mut actions) = (Follower::new(Start::Beginning, 100, Patience::UntilAnswered), VecDeque::new());
+    follower.live(estimates(7, "a", 0, 3), &mut actions);
+    follower.live(estimates(8, "b", 6, 3), &mut actions); // 3 to 5 were lost with the one before
+    assert_eq!(delivered(&mut actions), [(0, 3, 7)]);
+    follower.answered(Answer::Block(estimates(7, "a", 3, 3)), &mut actions);
+    assert_eq!(delivered(&mut actions), []);
+    follower.answered(Answer::Block(estimates(8, "b", 3, 3)), &mut actions);
+    assert_eq!(delivered(&mut actions), [(3, 6, 8), (6, 9, 8)]);
+    assert_eq!((follower.counts().superseded_blocks, follower.counts().gap_items), (1, 0));
+}
+
+#[test]
+fn what_was_kept_while_standing_by_is_answered_in_the_term_of_the_lead() {
+    let mut ring = Ring::<EstimateBlock>::new("b".into(), 1, 100).going_on(5, StreamState::Running);
+    let block = estimates(0, "b", 5, 3);
+    let payload = crate::message::Message::encode(&block).unwrap();
+    #[expect(clippy::disallowed_methods, reason = "a publisher goes by the clock")]
+    ring.push(&block, payload.into(), std::time::Instant::now()).unwrap();
+    ring.lead(9);
+    let range = QueryRange { after: 0, limit: 100, epoch: Some(1) };
+    assert_eq!(ring.answer(&range), Answer::Block(estimates(9, "b", 5, 3)));
 }

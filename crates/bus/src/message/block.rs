@@ -38,6 +38,15 @@ pub trait Block: Message + Clone + Send + Sync + 'static {
     /// Appends the following block; false, and nothing changes, if it does not continue this one.
     fn append(&mut self, next: &Self) -> bool;
 
+    /// Term of leadership of who says this, where several could put the stream: a lower one has been superseded. 0 where there is only
+    /// one source.
+    fn term(&self) -> u64 {
+        0
+    }
+
+    /// Says it in a term of leadership.
+    fn set_term(&mut self, _term: u64) {}
+
     /// Number of the item after the last one of this block.
     fn end(&self) -> u64 {
         self.header().sequence.saturating_add(self.count())

@@ -66,6 +66,8 @@ impl Estimate {
 pub struct EstimateBlock {
     /// Source: the id of identify; sequence: number of the first frame here; time: that of this frame.
     pub header: Header,
+    /// Term of leadership of identify; 0 of the station of distributed identification, which has no standby.
+    pub term: u64,
     /// Time of frame 0, ns since the Unix epoch, UTC.
     pub t0_ns: i64,
     /// Sampling rate of the structure, Hz.
@@ -127,7 +129,7 @@ fn check_length(what: &'static str, found: usize, expected: usize) -> Result<(),
 
 impl Message for EstimateBlock {
     const TYPE: &'static str = "estimates";
-    const VERSION: u16 = 1;
+    const VERSION: u16 = 2;
     const FORMAT: Format = Format::Postcard;
 
     fn check(&self) -> Result<(), Malformed> {
@@ -158,6 +160,14 @@ impl Block for EstimateBlock {
         self.state
     }
 
+    fn term(&self) -> u64 {
+        self.term
+    }
+
+    fn set_term(&mut self, term: u64) {
+        self.term = term;
+    }
+
     fn item_bytes(&self) -> usize {
         const LENGTHS_AND_FLAGS: usize = 64;
         let parameters = usize::from(self.parameters);
@@ -184,6 +194,7 @@ impl Block for EstimateBlock {
 
     fn append(&mut self, next: &Self) -> bool {
         let follows = continues(&self.header, self.end(), self.state, &next.header)
+            && self.term == next.term
             && self.t0_ns == next.t0_ns
             && self.sampling_rate_hz == next.sampling_rate_hz
             && (self.parameters, self.noise_parameters, self.channels)

@@ -11,6 +11,8 @@ use crate::name::Name;
 pub enum EventKind {
     /// A filter or a service was restarted.
     Restart,
+    /// One that stood by has taken over.
+    Takeover,
     /// A reference or a noise parameter was calibrated.
     Calibration,
     /// A noise level or parameter stays unknown: the data do not inform it.

@@ -37,6 +37,18 @@ impl Load {
     }
 }
 
+/// Whether a service does its work, or waits to take it over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Standing {
+    /// It puts what it does.
+    Leading,
+    /// It does the same as the one that leads, and puts nothing.
+    StandingBy,
+    /// It has not yet what it needs for that: the state of the one that leads.
+    Joining,
+}
+
 /// Put once per second by every service, and when its load changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {
@@ -53,6 +65,9 @@ pub struct Status {
     /// Whether the samples come as they are measured or from a record, of whom that is known: ingest, once some have come.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pace: Option<Pace>,
+    /// Where it stands, of a service that several processes may be ready for: identify.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub state: Option<Standing>,
     /// Number of the first item not yet done.
     pub done: u64,
     /// How it keeps up, of a service that tells: identify.
@@ -119,6 +134,7 @@ mod tests {
             time_ns: 1_795_000_000_000_000_000,
             lag_s: Some(1.0),
             pace,
+            state: None,
             done: 7,
             load: None,
             frames_behind: None,

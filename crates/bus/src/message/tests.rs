@@ -47,6 +47,7 @@ fn estimate() -> Estimate {
 fn estimates(count: usize) -> EstimateBlock {
     EstimateBlock {
         header: header(7),
+        term: 0,
         t0_ns: 0,
         sampling_rate_hz: 200.0,
         parameters: 2,

@@ -137,6 +137,7 @@ fn estimates_without_the_third_channel() -> EstimateBlock {
     };
     EstimateBlock {
         header: Header { source: "identify".into(), epoch: 1, sequence: 0, time_ns: 0 },
+        term: 0,
         t0_ns: 0,
         sampling_rate_hz: 100.0,
         parameters: 0,
@@ -223,6 +224,7 @@ fn replaying(time_ns: i64) -> Input {
         pace: Some(Pace::Replayed),
         load: None,
         frames_behind: None,
+        state: None,
         done: 1,
         drops: std::collections::BTreeMap::new(),
         restarts: 0,

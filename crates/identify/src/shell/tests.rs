@@ -1,6 +1,6 @@
 use super::*;
 use crate::identification::POISONED;
-use spandrel_bus::{Block, BusConfig, Header};
+use spandrel_bus::{Block, BusConfig, EstimateBlock, Header, NumberedStream};
 use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::atomic::Ordering;
@@ -76,7 +76,9 @@ async fn estimates_of_a_service_that_dies(remembering: Option<Remembering>) -> (
     let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
     let id = Name::new("identify").unwrap();
     let service =
-        IdentifyService::start(&structure(), &bus, keys.clone(), id, pool, remembering.as_ref()).await.unwrap();
+        IdentifyService::start(&structure(), &bus, keys.clone(), id, pool, remembering.as_ref(), Precedence::Leads)
+            .await
+            .unwrap();
     let estimates = bus
         .follow::<EstimateBlock>(keys.estimates(), keys.estimates_buffer(), bus.reading(Start::Beginning))
         .await

@@ -4,7 +4,7 @@ use super::print;
 use super::simulate::{Simulation, simulate};
 use crate::cli::BenchArguments;
 use crate::error::AppError;
-use crate::services::{Running, Watched, block_on, epoch_now};
+use crate::services::{Running, Share, Watched, block_on, epoch_now};
 use crate::settings::Settings;
 use serde::Serialize;
 use spandrel_bus::{Bus, BusConfig, EstimateBlock, Mode, Progress, Service};
@@ -153,7 +153,7 @@ fn measure(text: &str, path: &Path, arguments: &BenchArguments, count: usize) ->
             let before = Usage::now(std::process::id());
             let mut running = Running::new();
             running.start_alert(&bus, &watched, None).await?;
-            running.start_identify(&bus, &watched, settings.threads, &[], None).await?;
+            running.start_identify(&bus, &watched, settings.threads, Share::ALL, None).await?;
             running.start_ingest(&bus, &watched, None).await?;
             let processes = [std::process::id()];
             let load = tokio::select! {

@@ -5,7 +5,7 @@ use super::run::serve_page;
 use super::simulate::{Simulation, simulate};
 use crate::cli::{DemoArguments, Speed};
 use crate::error::AppError;
-use crate::services::{Running, Watched, block_on, epoch_now, interrupted};
+use crate::services::{Running, Share, Watched, block_on, epoch_now, interrupted};
 use crate::settings::Settings;
 use crate::summary::{Collector, Summary};
 use spandrel_bus::{
@@ -55,7 +55,7 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
         };
         running.start_alert(&bus, &watched, None).await?;
         running.start_fuse(&bus, &watched).await?;
-        running.start_identify(&bus, &watched, settings.threads, &[], None).await?;
+        running.start_identify(&bus, &watched, settings.threads, Share::ALL, None).await?;
         if watched.iter().any(|watched| watched.structure.fusion().is_none()) {
             running.start_ingest(&bus, &watched, None).await?;
         }

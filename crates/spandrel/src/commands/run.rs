@@ -4,7 +4,7 @@ use super::print;
 use crate::cli::{PageArguments, ServiceArguments};
 use crate::error::AppError;
 use crate::role_check::{Need, Work, cannot_acknowledge, check};
-use crate::services::{Running, Watched, block_on, interrupted, read_structures};
+use crate::services::{Running, Share, Watched, block_on, interrupted, read_structures};
 use crate::settings::Settings;
 use crate::state::State;
 use crate::supervision::{Hangups, feed_watchdog, tell_systemd};
@@ -12,8 +12,13 @@ use sd_notify::NotifyState;
 use spandrel_bus::Bus;
 use spandrel_dashboard::PageSettings;
 use spandrel_history::Address;
+use spandrel_identify::Precedence;
 use std::process::{Command, Stdio};
 use tracing::{info, warn};
+
+/// Time (s) without a sign of life after which a process that may lead is taken for gone: the rest of the 3 s within which another one
+/// leads is for that.
+const STANDBY_LEASE_S: f64 = 2.0;
 
 /// Which services a process runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,8 +76,8 @@ impl Services {
 ///
 /// # Errors
 /// As [`run`].
-pub fn one(arguments: &ServiceArguments, services: Services, nodes: &[String]) -> Result<(), AppError> {
-    run(arguments, services, nodes, &PageArguments::default())
+pub fn one(arguments: &ServiceArguments, services: Services, share: Share<'_>) -> Result<(), AppError> {
+    run(arguments, services, share, &PageArguments::default())
 }
 
 /// What configuration and structure files ask for.
@@ -85,9 +90,20 @@ struct Plan {
 }
 
 impl Plan {
-    fn read(arguments: &ServiceArguments, services: Services, page: &PageArguments) -> Result<Self, AppError> {
-        let settings = Settings::load(&arguments.bus)?;
+    fn read(
+        arguments: &ServiceArguments,
+        services: Services,
+        share: Share<'_>,
+        page: &PageArguments,
+    ) -> Result<Self, AppError> {
+        let mut settings = Settings::load(&arguments.bus)?;
         let watched = read_structures(&settings, &arguments.structures)?;
+        if share.precedence == Precedence::StandsBy {
+            settings.bus.lease_s.get_or_insert(STANDBY_LEASE_S);
+            if let Some(fused) = watched.iter().find(|watched| watched.structure.fusion().is_some()) {
+                return Err(AppError::NoStandbyOfNodes { structure: fused.structure.name().to_owned() });
+            }
+        }
         if services == Services::FUSE && watched.iter().all(|watched| watched.structure.fusion().is_none()) {
             return Err(AppError::NothingToFuse);
         }
@@ -106,7 +122,7 @@ impl Plan {
     }
 
     /// Refuses a certificate that does not allow what the services have to do.
-    async fn check_role(&self, bus: &Bus, services: Services, nodes: &[String]) -> Result<(), AppError> {
+    async fn check_role(&self, bus: &Bus, services: Services, share: Share<'_>) -> Result<(), AppError> {
         let is_fused = |watched: &Watched| watched.structure.fusion().is_some();
         let (any_fused, any_whole) =
             (self.watched.iter().any(is_fused), self.watched.iter().any(|watched| !is_fused(watched)));
@@ -122,7 +138,7 @@ impl Plan {
         ];
         let needs: Vec<Need> = wanted.into_iter().filter(|(is_wanted, _)| *is_wanted).map(|(_, need)| need).collect();
         let structures = self.watched.iter().map(|watched| watched.structure.name()).collect();
-        let nodes = nodes.iter().map(String::as_str).collect();
+        let nodes = share.nodes.iter().map(String::as_str).collect();
         let work = Work { subcommand: services.name(), needs: &needs, structures, nodes };
         check(bus, &self.settings.bus, &work).await
     }
@@ -132,7 +148,7 @@ impl Plan {
         &self,
         bus: &Bus,
         services: Services,
-        nodes: &[String],
+        share: Share<'_>,
         page: &PageArguments,
     ) -> Result<Running, AppError> {
         let Self { settings, watched, served, database, state } = self;
@@ -155,7 +171,7 @@ impl Plan {
             running.start_fuse(bus, watched).await?;
         }
         if services.identify {
-            running.start_identify(bus, watched, settings.threads, nodes, state.as_ref()).await?;
+            running.start_identify(bus, watched, settings.threads, share, state.as_ref()).await?;
         }
         if services.ingest {
             running.start_ingest(bus, watched, state.as_ref()).await?;
@@ -171,25 +187,25 @@ impl Plan {
 pub fn run(
     arguments: &ServiceArguments,
     services: Services,
-    nodes: &[String],
+    share: Share<'_>,
     page: &PageArguments,
 ) -> Result<(), AppError> {
-    let mut plan = Plan::read(arguments, services, page)?;
+    let mut plan = Plan::read(arguments, services, share, page)?;
     block_on(async {
         let bus = Bus::open(&plan.settings.bus).await?;
-        plan.check_role(&bus, services, nodes).await?;
+        plan.check_role(&bus, services, share).await?;
         let interrupted = interrupted();
         tokio::pin!(interrupted);
         let mut hangups = Hangups::new();
         let ended = loop {
-            let mut running = plan.start(&bus, services, nodes, page).await?;
+            let mut running = plan.start(&bus, services, share, page).await?;
             info!(structures = plan.watched.len(), "ready");
             tell_systemd(NotifyState::Ready);
             let pool = running.pool();
             let ended = tokio::select! {
                 failed = running.failed() => Ended::Done(failed),
                 () = &mut interrupted => Ended::Done(Ok(())),
-                next = hangups.read(|| Plan::read(arguments, services, page)) => Ended::Anew(Box::new(next)),
+                next = hangups.read(|| Plan::read(arguments, services, share, page)) => Ended::Anew(Box::new(next)),
                 never = feed_watchdog(pool) => never,
             };
             if matches!(ended, Ended::Done(_)) {

@@ -11,7 +11,7 @@ use super::wording::{
 use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
-use spandrel_bus::{AlertMessage, Load, ModelClassDisplay, Name, NoiseDisplay, Service};
+use spandrel_bus::{AlertMessage, Load, ModelClassDisplay, Name, NoiseDisplay, Service, Standing};
 
 /// Between columns.
 const GAP: &str = "  ";
@@ -325,6 +325,11 @@ fn service_item(heard: &Heard, structure: &StructureHeard, who: String, instance
         }
         if let Some(load) = status.load.filter(|load| *load != Load::Normal) {
             text.push_str(&format!(", {}, {} frames behind", load.as_str(), status.frames_behind.unwrap_or(0)));
+        }
+        match status.state {
+            None | Some(Standing::Leading) => {} // as it should be
+            Some(Standing::StandingBy) => text.push_str(", stands by"),
+            Some(Standing::Joining) => text.push_str(", joining"),
         }
         for (reason, count) in status.drops.iter().filter(|(_, count)| **count > 0) {
             text.push_str(&format!(", {count} {}", printable(reason)));

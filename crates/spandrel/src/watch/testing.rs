@@ -102,6 +102,7 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
         pace: None,
         load: None,
         frames_behind: None,
+        state: None,
         done: 1200,
         drops: drops.iter().map(|(reason, count)| ((*reason).to_owned(), *count)).collect::<BTreeMap<_, _>>(),
         restarts: 0,

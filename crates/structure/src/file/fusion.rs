@@ -176,7 +176,8 @@ pub(super) fn read_fusion(
     }
     let tells = |node: &Node| node.channels().iter().any(|channel| channel.quantity().is_told_as_response());
     if motion == Motion::Responses && !nodes.is_empty() && !nodes.iter().any(tells) {
-        let allowed = "must not be given where no node measures a displacement, a velocity or a strain, which is what nodes tell";
+        let allowed =
+            "must not be given where no node measures a displacement, a velocity or a strain, which is what nodes tell";
         section.diagnostics().report(motion_span, section.key("motion"), "is \"responses\"", allowed);
     }
     plan.detector = read_detector(&mut section);

@@ -231,9 +231,14 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let swamping = worst.iter().take(3).map(|&channel| {
         let spans = swamped_in[channel].iter().enumerate().filter(|(_, counts)| counts[1] > 0.0);
         let points = spans.map(|(span, counts)| (((span as f64 + 0.5) * SPAN_S) as f32, share(*counts) as f32));
-        Series::new(scene.structure.channels().nth(channel).map_or("", |channel| channel.name()), SeriesKind::Points, points.collect())
+        Series::new(
+            scene.structure.channels().nth(channel).map_or("", |channel| channel.name()),
+            SeriesKind::Points,
+            points.collect(),
+        )
     });
-    let swamping = Plot::over_time("Share of regular samples rejected in 10 s, three channels", "–", swamping.collect());
+    let swamping =
+        Plot::over_time("Share of regular samples rejected in 10 s, three channels", "–", swamping.collect());
 
     let percent = |value: f64| format!("{:.2}", 100.0 * value);
     let rows = nodes.iter().enumerate().map(|(node, of_node)| {

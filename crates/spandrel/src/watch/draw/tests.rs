@@ -6,7 +6,7 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::crossterm::event::{KeyCode, KeyEvent};
 use ratatui::style::Color;
-use spandrel_bus::{AlertState, NodeHealth, Service};
+use spandrel_bus::{AlertState, NodeHealth, Service, Standing};
 
 fn view(heard: Heard) -> View {
     let mut view = View::new("below spandrel".to_owned(), Around::default(), "anna".to_owned());
@@ -144,10 +144,11 @@ fn two_instances_of_a_service_are_told_apart() {
     let mut second = status(Service::Identify, 4.0, &[]);
     second.id = name("b");
     second.restarts = 2;
+    second.state = Some(Standing::StandingBy);
     heard.handle(Input::Status(second), &mut Vec::new());
     let rows = rows(&view(heard), (140, 40));
     row_with(&rows, "identify/a lag 0.21 s");
-    row_with(&rows, "identify/b lag 4 s, 2 restarts, gone");
+    row_with(&rows, "identify/b lag 4 s, stands by, 2 restarts, gone");
 }
 
 #[test]

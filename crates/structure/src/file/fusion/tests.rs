@@ -61,8 +61,14 @@ fn bad_input_names_the_key_and_what_is_allowed() {
         ),
         ("rate-hz = 1e-300", "fusion.rate-hz: is 1e-300, must be a finite number from 0.001 "),
         ("exclusion = 0.9", "fusion.exclusion: is given, must not be given beside detector = \"one-at-a-time\""),
-        ("detector = \"none\"\nscreening = 0.9", "fusion.screening: is given, must not be given beside detector = \"none\""),
-        ("detector = \"none\"\nreadmission = 2", "fusion.readmission: is given, must not be given beside detector = \"none\""),
+        (
+            "detector = \"none\"\nscreening = 0.9",
+            "fusion.screening: is given, must not be given beside detector = \"none\"",
+        ),
+        (
+            "detector = \"none\"\nreadmission = 2",
+            "fusion.readmission: is given, must not be given beside detector = \"none\"",
+        ),
         (
             "samples-per-period = 5",
             "fusion.samples-per-period: is given, must not be given unless motion = \"samples\"",

@@ -1,0 +1,179 @@
+//! Who leads where several could put one stream: claims, and the rule by which each of them knows where it stands.
+//!
+//! A claim is a liveliness token with a term in its key. The highest term leads, of equal terms the last instance in the order of
+//! names; so all who see the same claims agree, and whoever sees a higher claim than its own steps back. While two do not see each
+//! other both may lead: what they put says in which term, and readers take the highest ([`Block::term`](crate::Block::term)).
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use crate::error::BusError;
+use crate::keys::Keys;
+use crate::live::{LiveToken, LiveWatch};
+use crate::message::StateMessage;
+use crate::name::Name;
+use crate::receive::read;
+use crate::session::Bus;
+use tracing::debug;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::ConsolidationMode;
+
+/// A claim to lead: the higher one counts.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Claim {
+    // the order of the fields is the rule
+    term: u64,
+    instance: Name,
+}
+
+impl Claim {
+    /// The claim of an instance of a service, in a term that should be higher than all that it has heard of.
+    #[must_use]
+    pub fn new(term: u64, instance: Name) -> Self {
+        Self { term, instance }
+    }
+
+    /// Its term.
+    #[must_use]
+    pub fn term(&self) -> u64 {
+        self.term
+    }
+
+    /// The claim as it stands in a key of [`Keys::leader`]; `None` if it is none.
+    fn from_key(key: &str) -> Option<Self> {
+        let (_, chunk) = key.rsplit_once('/')?;
+        let (term, instance) = chunk.split_once('-')?;
+        Some(Self { term: term.parse().ok()?, instance: Name::new(instance).ok()? })
+    }
+
+    fn key(&self, keys: &Keys) -> Result<String, BusError> {
+        let name = Name::new(format!("{}-{}", self.term, self.instance));
+        Ok(keys.leader(&name.map_err(|source| BusError::Claim { source })?))
+    }
+}
+
+impl std::fmt::Display for Claim {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} in term {}", self.instance, self.term)
+    }
+}
+
+/// The claim that counts among those of these keys.
+fn leading(keys: &BTreeSet<String>) -> Option<Claim> {
+    keys.iter().filter_map(|key| Claim::from_key(key)).max()
+}
+
+/// The claims to lead one identification, as they come and go.
+#[derive(Debug)]
+pub struct Claims {
+    watch: LiveWatch,
+}
+
+impl Claims {
+    /// The claim that counts, as far as is known here; that of this process included.
+    #[must_use]
+    pub fn leading(&self) -> Option<Claim> {
+        leading(&self.watch.present())
+    }
+
+    /// Waits until a claim comes or goes.
+    pub async fn changed(&mut self) {
+        self.watch.changed().await;
+    }
+}
+
+impl Bus {
+    /// A name of this session that no other has.
+    ///
+    /// # Errors
+    /// Zenoh's id of it is no name, which it always is: hexadecimal digits, at most 32.
+    pub fn instance(&self) -> Result<Name, BusError> {
+        Name::new(self.session().zid().to_string()).map_err(|source| BusError::Claim { source })
+    }
+
+    /// Watches the claims to lead the identification of a structure.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key expression, or the session is closed.
+    pub async fn watch_claims(&self, keys: &Keys) -> Result<Claims, BusError> {
+        Ok(Claims { watch: self.watch_live(keys.all_leaders()).await? })
+    }
+
+    /// Claims to lead the identification of a structure, for as long as the token lives.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key, or the session is closed.
+    pub async fn claim(&self, keys: &Keys, claim: &Claim) -> Result<LiveToken, BusError> {
+        self.announce(claim.key(keys)?).await
+    }
+
+    /// Asks the network for the claim that counts now: what others had claimed before this call is in the answer, unless the link to
+    /// them is lost or does not answer in time.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key expression, or the session is closed.
+    pub async fn ask_who_leads(&self, keys: &Keys, timeout: Duration) -> Result<Option<Claim>, BusError> {
+        Ok(leading(&self.ask_who_is_there(&keys.all_leaders(), timeout).await?))
+    }
+
+    /// Asks the identification that leads for its state; `None` if nobody answers in time, or with nothing that can be read.
+    ///
+    /// # Errors
+    /// Zenoh refuses the key, or the session is closed.
+    pub async fn ask_for_state(&self, keys: &Keys, timeout: Duration) -> Result<Option<StateMessage>, BusError> {
+        let key = keys.state();
+        let asked = self
+            .session()
+            .get(&key)
+            .consolidation(ConsolidationMode::None)
+            // megabytes: they wait behind all else, and are not dropped for being many
+            .priority(Priority::DataLow)
+            .congestion_control(CongestionControl::Block)
+            .timeout(timeout)
+            .await;
+        let replies = match asked {
+            Ok(replies) => replies,
+            Err(source) => return Err(BusError::Put { key, source }),
+        };
+        let mut highest: Option<StateMessage> = None;
+        while let Ok(reply) = replies.recv_async().await {
+            match reply.result().map(read::<StateMessage>) {
+                Ok(Ok(state)) if highest.as_ref().is_none_or(|other| state.term > other.term) => highest = Some(state),
+                Ok(Ok(_superseded)) => {}
+                Ok(Err(error)) => debug!(key, %error, "state refused"),
+                Err(error) => debug!(key, error = ?error.payload().try_to_string(), "no state"),
+            }
+        }
+        Ok(highest)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn claim(term: u64, instance: &str) -> Claim {
+        Claim::new(term, Name::new(instance).unwrap())
+    }
+
+    fn keys() -> Keys {
+        Keys::parse("spandrel", "tower").unwrap()
+    }
+
+    #[test]
+    fn the_highest_term_leads_and_of_equal_terms_the_last_name() {
+        let of = |claims: &[Claim]| leading(&claims.iter().map(|claim| claim.key(&keys()).unwrap()).collect());
+        assert_eq!(of(&[]), None);
+        assert_eq!(of(&[claim(9, "b"), claim(10, "a")]), Some(claim(10, "a")), "numbers, not texts");
+        assert_eq!(of(&[claim(10, "a"), claim(10, "c"), claim(10, "b")]), Some(claim(10, "c")));
+    }
+
+    #[test]
+    fn a_claim_is_what_its_key_says_and_other_keys_are_none() {
+        let highest = claim(u64::MAX, &"f".repeat(32));
+        assert_eq!(Claim::from_key(&highest.key(&keys()).unwrap()), Some(highest));
+        for key in ["", "spandrel/tower/leader/identify/7", "leader/identify/x-a", "leader/identify/7-", "7-a"] {
+            assert_eq!(Claim::from_key(key), None, "{key}");
+        }
+    }
+}

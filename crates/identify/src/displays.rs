@@ -1,0 +1,77 @@
+//! What an identification shows to people: a topic for each parameter, noise level and screened channel.
+
+use crate::identification::{Identification, Output};
+use crate::shell::log_event;
+use spandrel_bus::{
+    Bus, BusError, DisplayPublisher, Event, Keys, Message, ModelClassDisplay, Name, NoiseDisplay, OutlierDisplay,
+    ParameterDisplay,
+};
+use std::collections::BTreeMap;
+use tracing::warn;
+
+/// The topics of one structure.
+#[derive(Debug)]
+pub(crate) struct Displays {
+    parameters: BTreeMap<Name, DisplayPublisher<ParameterDisplay>>,
+    noise: BTreeMap<Name, DisplayPublisher<NoiseDisplay>>,
+    outliers: BTreeMap<Name, DisplayPublisher<OutlierDisplay>>,
+    classes: Option<DisplayPublisher<ModelClassDisplay>>,
+    events: DisplayPublisher<Event>,
+}
+
+impl Displays {
+    /// Declares the topics of what `core` identifies.
+    pub(crate) async fn declare(core: &Identification, bus: &Bus, keys: &Keys) -> Result<Self, BusError> {
+        let mut parameters = BTreeMap::new();
+        for name in core.parameter_names() {
+            parameters.insert(name.clone(), bus.publish_display(keys.parameter(name)).await?);
+        }
+        let mut noise = BTreeMap::new();
+        for name in core.noise_names() {
+            noise.insert(name.clone(), bus.publish_display(keys.noise(name)).await?);
+        }
+        let mut outliers = BTreeMap::new();
+        for name in core.screened_channels() {
+            outliers.insert(name.clone(), bus.publish_display(keys.outlier(name)).await?);
+        }
+        let classes = match core.compares_classes() {
+            true => Some(bus.publish_display(keys.model_class()).await?),
+            false => None,
+        };
+        let events = bus.publish_display(keys.event()).await?;
+        Ok(Self { parameters, noise, outliers, classes, events })
+    }
+
+    /// Parameters and noise levels that are shown.
+    pub(crate) fn counts(&self) -> (usize, usize) {
+        (self.parameters.len(), self.noise.len())
+    }
+
+    /// Puts what is for people; all else is left out.
+    pub(crate) async fn put(&self, output: &Output) -> Result<(), BusError> {
+        match output {
+            Output::Parameter(display) => show(self.parameters.get(&display.parameter), display).await,
+            Output::Noise(display) => show(self.noise.get(&display.name), display).await,
+            Output::Outliers(display) => show(self.outliers.get(&display.channel), display).await,
+            Output::Classes(display) => show(self.classes.as_ref(), display).await,
+            Output::Event(event) => {
+                log_event(event, None);
+                self.events.put(event).await
+            }
+            Output::Estimates(_) => Ok(()), // for programs
+            Output::Responses(_) => Ok(()), // for files
+        }
+    }
+}
+
+/// Puts a message for people; one that holds no numbers is told of and left out, the service goes on.
+async fn show<M: Message>(publisher: Option<&DisplayPublisher<M>>, message: &M) -> Result<(), BusError> {
+    let Some(publisher) = publisher else { return Ok(()) };
+    match publisher.put(message).await {
+        Err(error @ BusError::Encode { .. }) => {
+            warn!(%error, "not shown");
+            Ok(())
+        }
+        result => result,
+    }
+}

@@ -1,0 +1,37 @@
+//! Whether the service keeps up with ingest, told in its status and by events.
+
+use super::IdentifyService;
+use crate::error::IdentifyError;
+use crate::seat::Seat;
+use spandrel_bus::{EventKind, Load};
+use std::cmp::Ordering;
+
+impl IdentifyService {
+    /// Compares what is done with what ingest has made; a change of the load is told at once, and `true` returned.
+    pub(super) async fn look_at_the_load(&mut self) -> Result<bool, IdentifyError> {
+        if let Some((_, status)) = self.ingest_statuses.messages().try_iter().last() {
+            self.pace = status.pace;
+        }
+        let (Some(core), Some(made)) = (&self.core, self.made.latest()) else {
+            return Ok(false); // it does nothing yet, or nothing is known of ingest
+        };
+        let behind = match made.header.epoch.cmp(&self.epoch) {
+            Ordering::Less => 0, // said in an earlier life
+            Ordering::Equal => made.done.saturating_sub(core.done()),
+            Ordering::Greater => made.done, // and what is left of the epoch before
+        };
+        if !self.load.observe(behind, self.pace) {
+            return Ok(false);
+        }
+        self.put_status().await?;
+        let (kind, what) = match self.load.load() {
+            Load::DisplayShed => (EventKind::Overloaded, "values for people are put at a tenth of their rate"),
+            Load::Normal => (EventKind::CaughtUp, "values for people are put as ever"),
+            Load::Behind | Load::CatchingUp => return Ok(true),
+        };
+        if matches!(self.seat, Seat::Leading(_)) {
+            self.tell(kind, what.to_owned(), format!("identification is {behind} frames behind ingest")).await?;
+        }
+        Ok(true)
+    }
+}
