@@ -228,11 +228,8 @@ async fn a_leader_that_is_killed_under_load_is_followed_within_three_seconds_by_
     for reader in &mut readers {
         reader.read_frames(1500).await;
     }
-    first.kill();
-    for reader in &mut readers {
-        reader.read_terms(2).await;
-    }
     let term = readers[0].terms[0].0;
+    first.kill();
     let readers = readers.into_iter().map(Reader::read_to_end).collect();
     let readers = town.finish(replays, readers).await;
     check_gaps("killed", &readers, 1);
