@@ -299,10 +299,12 @@ async fn soak(plan: Plan) {
         let log = service.stop().expect_code(0).stderr;
         assert!(!log.contains("panicked"), "{log}");
     }
-    Report { plan, memory_mb, heard, processor_s, happened }.tell_and_check(&counts);
+    let report = Report { plan, memory_mb, heard, processor_s, happened };
+    report.tell(&counts);
     for (site, (put, frames)) in town.sites.iter().zip(counts) {
         check_recording(&town.sites[0].folder().join("kept"), site, put, frames);
     }
+    report.check();
 }
 
 /// What was found.
@@ -315,11 +317,16 @@ struct Report {
 }
 
 impl Report {
-    /// Prints everything, then checks what must hold.
-    fn tell_and_check(&self, counts: &[(u64, u64)]) {
+    /// The first and the last fifth of the time after the warm-up.
+    fn early_and_late(&self) -> [(Duration, Duration); 2] {
         let Plan { length, warm_up, .. } = self.plan;
         let fifth = (length - warm_up) / 5;
-        let (early, late) = ((warm_up, warm_up + fifth), (length - fifth, length));
+        [(warm_up, warm_up + fifth), (length - fifth, length)]
+    }
+
+    fn tell(&self, counts: &[(u64, u64)]) {
+        let Plan { length, warm_up, .. } = self.plan;
+        let [early, late] = self.early_and_late();
         let heard = self.heard.lock().unwrap();
         let (put, frames) = counts.iter().fold((0, 0), |(a, b), (put, frames)| (a + put, b + frames));
         println!(
@@ -353,7 +360,11 @@ impl Report {
             println!("{service} counts {:?}", heard.counted(service));
         }
         println!("states of identify: {:?}; restarts of a filter, most: {}", heard.loads, heard.restarts);
+    }
 
+    fn check(&self) {
+        let [early, late] = self.early_and_late();
+        let heard = self.heard.lock().unwrap();
         for name in self.memory_mb.names() {
             let median = |(from, to)| self.memory_mb.median(name, from, to);
             let growth = median(late) - median(early);
