@@ -65,7 +65,13 @@ mod tests {
     /// The states told while so many frames wait, one after the other.
     fn told(pace: Option<Pace>, behind: &[u64]) -> Vec<Load> {
         let mut state = LoadState::new();
-        behind.iter().filter_map(|behind| state.observe(*behind, pace).then(|| state.load())).collect()
+        let mut told = Vec::new();
+        for behind in behind {
+            if state.observe(*behind, pace) {
+                told.push(state.load());
+            }
+        }
+        told
     }
 
     #[test]
