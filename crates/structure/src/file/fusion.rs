@@ -54,7 +54,7 @@ const DETECTORS: [(&str, Detector); 3] =
 /// Fusions per second unless the file says otherwise.
 const RATE_HZ: f64 = 1.0;
 
-/// Stricter than the source: nodes that share what they know differ a little more than independent ones.
+/// Stricter than the source: the node beside a damage knows of it first, and should not be left out for that.
 const DETECTOR: GlobalDetector =
     GlobalDetector { screening: 0.999, exclusion: 0.5, one_at_a_time: true, readmission: 3 };
 

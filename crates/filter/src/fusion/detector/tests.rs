@@ -74,8 +74,9 @@ fn two_nodes_are_never_judged_and_two_are_always_left() {
     assert!(detector.judge(&[], Sharing::All).is_empty());
 }
 
-/// Sixteen nodes know what the surest of them knows, each with an error of its own on top, as nodes do that are told its samples; the
-/// surest one is regular, although it is far from the mean of the others as (7.52) counts it, and one that is off is found.
+/// One node is four times as sure as the others, which know what it knows with one and the same error on top, as nodes do that are told
+/// its samples. In the mean its `d²` is 60 as (7.52) counts it, with 1/15 of their variance, where 26 is the limit, and 7 with all of it.
+/// The surest one is regular, although it is far from the mean of the others as (7.52) counts it, and one that is off is found.
 #[test]
 fn who_is_surer_than_all_others_is_not_suspicious() {
     let detector = GlobalDetector { screening: 0.999, one_at_a_time: true, ..GlobalDetector::default() };
