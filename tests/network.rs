@@ -43,8 +43,8 @@ const OLD_S: f64 = 65.0;
 const RECOVERY_S: f64 = 12.0;
 
 /// Four storeys of which each floor identifies for itself; their stiffness is 10 % above what the filters start from, and the second
-/// loses some of it on the way.
-fn house(clocks: &str) -> String {
+/// loses some of it on the way. What is said of `[fusion]` and of the clocks.
+fn house(fusion: &str, clocks: &str) -> String {
     let mut text = "[structure]\nname = \"house\"\nsampling-rate-hz = 100\nidentification = \"distributed\"\n\
          [model]\nkind = \"shear-building\"\nstoreys = 4\nmass-kg = 20_000\nfirst-frequency-hz = 1.0\n\
          [damping]\nkind = \"rayleigh\"\nratio = 0.02\n\
@@ -60,8 +60,9 @@ fn house(clocks: &str) -> String {
              unit = \"m/s2\"\nnoise-std = 0.01\n"
         );
     }
-    text + "[filter]\nhalf-life-s = 8\nannealing-amount = 0\n[fusion]\nrate-hz = 1\n\
-            [simulation]\nseed = 1\n"
+    text + "[filter]\nhalf-life-s = 8\nannealing-amount = 0\n[fusion]\nrate-hz = 1\n"
+        + fusion
+        + "[simulation]\nseed = 1\n"
         + clocks
         + "[[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 36\nloss = 0.1\n"
 }
@@ -92,10 +93,10 @@ struct Fused {
 
 impl Network {
     /// Starts all but the sensors, on links of this kind; none where namespaces cannot be made.
-    async fn start(clocks: &str, link: Link) -> Option<Self> {
+    async fn start(fusion: &str, clocks: &str, link: Link) -> Option<Self> {
         let mut lab = Lab::or_skip(&[&NODES[..], &[STATION]].concat(), 1)?;
         let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join("house.toml"), house(clocks)).unwrap();
+        std::fs::write(folder.path().join("house.toml"), house(fusion, clocks)).unwrap();
         let socket = format!("unixsock-stream/{}", folder.path().join("station.sock").display());
         issue_certificates(folder.path(), &lab.address(STATION));
         let remote = format!("quic/{}:7447", lab.address(STATION));
@@ -215,14 +216,35 @@ fn now_s() -> f64 {
     now.duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
 }
 
+// the clock of floor-1 is ahead and fast, that of floor-4 behind and slow
+
 #[tokio::test(flavor = "multi_thread")]
 async fn estimates_outside_disturbed_spans_are_those_of_an_undisturbed_network() {
-    let good = Link { loss: 0.0, delay_s: 0.0, jitter_s: 0.0 };
-    let bad = Link { loss: 0.1, delay_s: 0.05, jitter_s: 0.01 };
-    // the clock of floor-1 is ahead and fast, that of floor-4 behind and slow
     let clocks = "clock-offsets-s = { floor-1 = 0.02, floor-4 = -0.02 }\n\
                   clock-drifts-ppm = { floor-1 = 50, floor-4 = -50 }\n";
-    let (undisturbed, disturbed) = tokio::join!(Network::start("", good), Network::start(clocks, bad));
+    disturb("", clocks).await;
+}
+
+/// Nodes tell one another samples, which asks for clocks within half a sample: 5 ms.
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "a minute and a half, at the same time as the test above too much for two cores"]
+async fn so_are_those_of_nodes_that_tell_samples() {
+    disturb("motion = \"samples\"\nsamples-per-period = 10\n", CLOSE_CLOCKS).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "as the test above"]
+async fn so_are_those_of_nodes_that_tell_modes() {
+    disturb("motion = \"modes\"\nmodes = 3\n", CLOSE_CLOCKS).await;
+}
+
+const CLOSE_CLOCKS: &str = "clock-offsets-s = { floor-1 = 0.002, floor-4 = -0.002 }\n\
+                            clock-drifts-ppm = { floor-1 = 20, floor-4 = -20 }\n";
+
+async fn disturb(fusion: &str, clocks: &str) {
+    let good = Link { loss: 0.0, delay_s: 0.0, jitter_s: 0.0 };
+    let bad = Link { loss: 0.1, delay_s: 0.05, jitter_s: 0.01 };
+    let (undisturbed, disturbed) = tokio::join!(Network::start(fusion, "", good), Network::start(fusion, clocks, bad));
     let (Some(mut undisturbed), Some(mut disturbed)) = (undisturbed, disturbed) else { return };
     let start_s = now_s().ceil() + HEAD_START_S;
     undisturbed.measure(start_s);

@@ -5,9 +5,9 @@ use std::future::Future;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Block, Bus, Delivery, DisplayPublisher, EstimateBlock, HistoryLog, Keys,
-    LatestPublisher, LiveToken, Name, ProgressPublisher, Question, Questions, Service, Start, Status, Stream,
-    Subscription,
+    Acknowledgement, AlertMessage, AlertState, Block, BoxedFuture, Bus, Delivery, DisplayPublisher, EstimateBlock,
+    HistoryLog, Keys, LatestPublisher, LiveToken, Name, ProgressPublisher, Question, Questions, Service, Start, Status,
+    Stream, Subscription,
 };
 use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
@@ -66,105 +66,112 @@ impl AlertService {
     /// # Errors
     /// When the rules are not consistent with the structure, a name is no key, the checkpoints cannot be kept, or the bus
     /// refuses a declaration.
-    pub async fn start(
-        structure: &Structure,
-        baseline: Option<&Baseline>,
-        bus: &Bus,
+    pub fn start<'a>(
+        structure: &'a Structure,
+        baseline: Option<&'a Baseline>,
+        bus: &'a Bus,
         keys: Keys,
         id: Name,
-        remembering: Option<&Remembering>,
-    ) -> Result<Self, AlertError> {
-        let mut memory = match remembering {
-            Some(remembering) => Some(Memory::open(structure, remembering)?),
-            None => None,
-        };
-        let state = begin(structure, baseline, memory.as_mut())?;
-        let Remembered { basis, watch, unsent, log, last_time_ns } = state;
-        let start = match watch.position() {
-            Some((epoch, sequence)) => Start::At { epoch, sequence },
-            None => Start::Beginning,
-        };
-        let service_name = name(Service::Alert.as_str())?;
-        let mut alerts = Vec::new();
-        for parameter in &basis.parameters {
-            let parameter = name(parameter)?;
-            let publisher = bus.publish_latest(keys.alert(&parameter)).await?;
-            alerts.push(AlertTopic { parameter, publisher, is_told: false });
-        }
-        let acknowledgements = bus.subscribe(keys.all_acknowledgements(), ACKNOWLEDGEMENTS_WAITING).await?;
-        let settings = bus.reading(start).patient(); // an identify service that comes back has them, or makes them again
-        let parameters = structure.parameters().len();
-        let is_of_structure = move |block: &EstimateBlock| match usize::from(block.parameters) == parameters {
-            true => Ok(()),
-            false => Err("estimates-of-another-structure"),
-        };
-        let progress = bus.publish_progress(keys.progress(Service::Alert), id.to_string()).await?;
-        let done = watch.position().map_or(0, |(epoch, done)| {
-            // Sources may wait for what this service did last before it was killed, and could not say.
-            progress.set(epoch, done, last_time_ns.unwrap_or(i64::MIN));
-            done
-        });
-        let service = Self {
-            estimates: bus.follow_fit(keys.estimates(), keys.estimates_buffer(), settings, is_of_structure).await?,
-            acknowledgements,
-            progress,
-            status: bus.publish_display(keys.status(Service::Alert, &id)).await?,
-            basis,
-            watch,
-            alerts,
-            service: service_name,
-            done,
-            last_time_ns,
-            refused: BTreeMap::new(),
-            memory,
-            unsent,
-            log,
-            questions: bus.questions(keys.alert_log(), QUESTIONS_WAITING).await?,
-            // Last, because others ask when they see it: who answers is there by then.
-            token: Some(bus.announce(keys.live(Service::Alert, &id)).await?),
-            id,
-            keys,
-        };
-        info!(
-            structure = service.keys.structure().as_str(),
-            rules = structure.alert_rules().len(),
-            parameters,
-            "alerts ready"
-        );
-        Ok(service)
+        remembering: Option<&'a Remembering>,
+    ) -> BoxedFuture<'a, Result<Self, AlertError>> {
+        Box::pin(async move {
+            let mut memory = match remembering {
+                Some(remembering) => Some(Memory::open(structure, remembering)?),
+                None => None,
+            };
+            let state = begin(structure, baseline, memory.as_mut())?;
+            let Remembered { basis, watch, unsent, log, last_time_ns } = state;
+            let start = match watch.position() {
+                Some((epoch, sequence)) => Start::At { epoch, sequence },
+                None => Start::Beginning,
+            };
+            let service_name = name(Service::Alert.as_str())?;
+            let mut alerts = Vec::new();
+            for parameter in &basis.parameters {
+                let parameter = name(parameter)?;
+                let publisher = bus.publish_latest(keys.alert(&parameter)).await?;
+                alerts.push(AlertTopic { parameter, publisher, is_told: false });
+            }
+            let acknowledgements = bus.subscribe(keys.all_acknowledgements(), ACKNOWLEDGEMENTS_WAITING).await?;
+            let settings = bus.reading(start).patient(); // an identify service that comes back has them, or makes them again
+            let parameters = structure.parameters().len();
+            let is_of_structure = move |block: &EstimateBlock| match usize::from(block.parameters) == parameters {
+                true => Ok(()),
+                false => Err("estimates-of-another-structure"),
+            };
+            let progress = bus.publish_progress(keys.progress(Service::Alert), id.to_string()).await?;
+            let done = watch.position().map_or(0, |(epoch, done)| {
+                // Sources may wait for what this service did last before it was killed, and could not say.
+                progress.set(epoch, done, last_time_ns.unwrap_or(i64::MIN));
+                done
+            });
+            let service = Self {
+                estimates: bus.follow_fit(keys.estimates(), keys.estimates_buffer(), settings, is_of_structure).await?,
+                acknowledgements,
+                progress,
+                status: bus.publish_display(keys.status(Service::Alert, &id)).await?,
+                basis,
+                watch,
+                alerts,
+                service: service_name,
+                done,
+                last_time_ns,
+                refused: BTreeMap::new(),
+                memory,
+                unsent,
+                log,
+                questions: bus.questions(keys.alert_log(), QUESTIONS_WAITING).await?,
+                // Last, because others ask when they see it: who answers is there by then.
+                token: Some(bus.announce(keys.live(Service::Alert, &id)).await?),
+                id,
+                keys,
+            };
+            info!(
+                structure = service.keys.structure().as_str(),
+                rules = structure.alert_rules().len(),
+                parameters,
+                "alerts ready"
+            );
+            Ok(service)
+        })
     }
 
     /// Runs until `stop`; estimates that have arrived are still decided.
     ///
     /// # Errors
     /// When the bus is closed underneath.
-    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), AlertError> {
-        tokio::pin!(stop);
-        let mut status = tokio::time::interval(STATUS_EVERY);
-        let deliveries = self.estimates.deliveries().clone();
-        let acknowledgements = self.acknowledgements.messages().clone();
-        self.put_again().await?;
-        loop {
-            tokio::select! {
-                biased; // people first: estimates may come without a pause; stop last: what has arrived is still decided
-                Ok((key, acknowledgement)) = acknowledgements.recv_async() => {
-                    self.acknowledge(&key, acknowledgement).await?;
+    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), AlertError>> {
+        self.run_until(Box::pin(stop))
+    }
+
+    fn run_until(mut self, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), AlertError>> {
+        Box::pin(async move {
+            let mut status = tokio::time::interval(STATUS_EVERY);
+            let deliveries = self.estimates.deliveries().clone();
+            let acknowledgements = self.acknowledgements.messages().clone();
+            self.put_again().await?;
+            loop {
+                tokio::select! {
+                    biased; // people first: estimates may come without a pause; stop last: what has arrived is still decided
+                    Ok((key, acknowledgement)) = acknowledgements.recv_async() => {
+                        self.acknowledge(&key, acknowledgement).await?;
+                    }
+                    Some(question) = self.questions.next() => self.answer(&question).await?,
+                    _ = status.tick() => self.put_status().await?,
+                    delivery = deliveries.recv_async() => match delivery {
+                        Ok(Delivery::Block(block)) => self.decide(&block).await?,
+                        Ok(Delivery::Gap(_)) => {} // logged by the stream; the watch sees it in the number of the next block
+                        Err(flume::RecvError::Disconnected) => break,
+                    },
+                    () = &mut stop => break,
                 }
-                Some(question) = self.questions.next() => self.answer(&question).await?,
-                _ = status.tick() => self.put_status().await?,
-                delivery = deliveries.recv_async() => match delivery {
-                    Ok(Delivery::Block(block)) => self.decide(&block).await?,
-                    Ok(Delivery::Gap(_)) => {} // logged by the stream; the watch sees it in the number of the next block
-                    Err(flume::RecvError::Disconnected) => break,
-                },
-                () = &mut stop => break,
             }
-        }
-        self.keep(Vec::new());
-        if let Some(token) = self.token.take() {
-            token.withdraw().await?;
-        }
-        Ok(())
+            self.keep(Vec::new());
+            if let Some(token) = self.token.take() {
+                token.withdraw().await?;
+            }
+            Ok(())
+        })
     }
 
     /// Puts what the last life of this service may not have put, and where each parameter stands: who was not there then

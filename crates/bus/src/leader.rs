@@ -7,6 +7,7 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
+use crate::BoxedFuture;
 use crate::error::BusError;
 use crate::keys::Keys;
 use crate::live::{LiveToken, LiveWatch};
@@ -120,31 +121,39 @@ impl Bus {
     ///
     /// # Errors
     /// Zenoh refuses the key, or the session is closed.
-    pub async fn ask_for_state(&self, keys: &Keys, timeout: Duration) -> Result<Option<StateMessage>, BusError> {
-        let key = keys.state();
-        let asked = self
-            .session()
-            .get(&key)
-            .consolidation(ConsolidationMode::None)
-            // megabytes: they wait behind all else, and are not dropped for being many
-            .priority(Priority::DataLow)
-            .congestion_control(CongestionControl::Block)
-            .timeout(timeout)
-            .await;
-        let replies = match asked {
-            Ok(replies) => replies,
-            Err(source) => return Err(BusError::Put { key, source }),
-        };
-        let mut highest: Option<StateMessage> = None;
-        while let Ok(reply) = replies.recv_async().await {
-            match reply.result().map(read::<StateMessage>) {
-                Ok(Ok(state)) if highest.as_ref().is_none_or(|other| state.term > other.term) => highest = Some(state),
-                Ok(Ok(_superseded)) => {}
-                Ok(Err(error)) => debug!(key, %error, "state refused"),
-                Err(error) => debug!(key, error = ?error.payload().try_to_string(), "no state"),
+    pub fn ask_for_state<'a>(
+        &'a self,
+        keys: &'a Keys,
+        timeout: Duration,
+    ) -> BoxedFuture<'a, Result<Option<StateMessage>, BusError>> {
+        Box::pin(async move {
+            let key = keys.state();
+            let asked = self
+                .session()
+                .get(&key)
+                .consolidation(ConsolidationMode::None)
+                // megabytes: they wait behind all else, and are not dropped for being many
+                .priority(Priority::DataLow)
+                .congestion_control(CongestionControl::Block)
+                .timeout(timeout)
+                .await;
+            let replies = match asked {
+                Ok(replies) => replies,
+                Err(source) => return Err(BusError::Put { key, source }),
+            };
+            let mut highest: Option<StateMessage> = None;
+            while let Ok(reply) = replies.recv_async().await {
+                match reply.result().map(read::<StateMessage>) {
+                    Ok(Ok(state)) if highest.as_ref().is_none_or(|other| state.term > other.term) => {
+                        highest = Some(state)
+                    }
+                    Ok(Ok(_superseded)) => {}
+                    Ok(Err(error)) => debug!(key, %error, "state refused"),
+                    Err(error) => debug!(key, error = ?error.payload().try_to_string(), "no state"),
+                }
             }
-        }
-        Ok(highest)
+            Ok(highest)
+        })
     }
 }
 

@@ -63,6 +63,10 @@ mod tls;
 #[cfg(test)]
 mod testing;
 
+/// What the services and the bus do over time. Boxed, so that it is compiled once, in its own crate: an `async fn` is compiled again in
+/// every program that awaits it, and there are dozens of test programs.
+pub type BoxedFuture<'a, T> = std::pin::Pin<Box<dyn Future<Output = T> + Send + 'a>>;
+
 pub use archive::Archive;
 pub use arrivals::Arrivals;
 pub use endpoint::{in_order, is_loopback};

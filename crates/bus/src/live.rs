@@ -8,6 +8,7 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Sample, SampleKind};
 
+use crate::BoxedFuture;
 use crate::error::BusError;
 use crate::session::Bus;
 
@@ -22,9 +23,11 @@ impl LiveToken {
     ///
     /// # Errors
     /// The session is closed already.
-    pub async fn withdraw(self) -> Result<(), BusError> {
-        let undeclared = self.token.undeclare().await;
-        undeclared.map_err(|source| BusError::Close { source })
+    pub fn withdraw(self) -> BoxedFuture<'static, Result<(), BusError>> {
+        Box::pin(async move {
+            let undeclared = self.token.undeclare().await;
+            undeclared.map_err(|source| BusError::Close { source })
+        })
     }
 }
 
@@ -40,61 +43,67 @@ impl Bus {
     ///
     /// # Errors
     /// Zenoh refuses the key, or the session is closed.
-    pub async fn announce(&self, key: String) -> Result<LiveToken, BusError> {
-        let declared = self.session().liveliness().declare_token(key.clone()).await;
-        match declared {
-            Ok(token) => Ok(LiveToken { token }),
-            Err(source) => Err(BusError::Declare { key, source }),
-        }
+    pub fn announce<'a>(&'a self, key: String) -> BoxedFuture<'a, Result<LiveToken, BusError>> {
+        Box::pin(async move {
+            let declared = self.session().liveliness().declare_token(key.clone()).await;
+            match declared {
+                Ok(token) => Ok(LiveToken { token }),
+                Err(source) => Err(BusError::Declare { key, source }),
+            }
+        })
     }
 
     /// Asks the network which tokens match a `live` key expression now; what does not answer in time is left out.
     ///
     /// # Errors
     /// Zenoh refuses the key expression, or the session is closed.
-    pub async fn ask_who_is_there(
-        &self,
-        key_expression: &str,
+    pub fn ask_who_is_there<'a>(
+        &'a self,
+        key_expression: &'a str,
         timeout: Duration,
-    ) -> Result<BTreeSet<String>, BusError> {
-        let asked = self.session().liveliness().get(key_expression).timeout(timeout).await;
-        let refused = |source| BusError::Declare { key: key_expression.to_owned(), source };
-        let replies = match asked {
-            Ok(replies) => replies,
-            Err(source) => return Err(refused(source)),
-        };
-        let mut present = BTreeSet::new();
-        while let Ok(reply) = replies.recv_async().await {
-            present.extend(reply.result().ok().map(|token| token.key_expr().to_string()));
-        }
-        Ok(present)
+    ) -> BoxedFuture<'a, Result<BTreeSet<String>, BusError>> {
+        Box::pin(async move {
+            let asked = self.session().liveliness().get(key_expression).timeout(timeout).await;
+            let refused = |source| BusError::Declare { key: key_expression.to_owned(), source };
+            let replies = match asked {
+                Ok(replies) => replies,
+                Err(source) => return Err(refused(source)),
+            };
+            let mut present = BTreeSet::new();
+            while let Ok(reply) = replies.recv_async().await {
+                present.extend(reply.result().ok().map(|token| token.key_expr().to_string()));
+            }
+            Ok(present)
+        })
     }
 
     /// Watches the tokens that match a `live` key expression, those already there included.
     ///
     /// # Errors
     /// Zenoh refuses the key expression, or the session is closed.
-    pub async fn watch_live(&self, key_expression: String) -> Result<LiveWatch, BusError> {
-        let (changes, present) = watch::channel(BTreeSet::new());
-        let declared = self
-            .session()
-            .liveliness()
-            .declare_subscriber(key_expression.clone())
-            .history(true)
-            .callback(move |sample: Sample| {
-                let key = sample.key_expr().to_string();
-                changes.send_modify(|present| {
-                    match sample.kind() {
-                        SampleKind::Put => present.insert(key),
-                        SampleKind::Delete => present.remove(&key),
-                    };
-                });
-            })
-            .await;
-        match declared {
-            Ok(subscriber) => Ok(LiveWatch { present, _subscriber: subscriber }),
-            Err(source) => Err(BusError::Declare { key: key_expression, source }),
-        }
+    pub fn watch_live<'a>(&'a self, key_expression: String) -> BoxedFuture<'a, Result<LiveWatch, BusError>> {
+        Box::pin(async move {
+            let (changes, present) = watch::channel(BTreeSet::new());
+            let declared = self
+                .session()
+                .liveliness()
+                .declare_subscriber(key_expression.clone())
+                .history(true)
+                .callback(move |sample: Sample| {
+                    let key = sample.key_expr().to_string();
+                    changes.send_modify(|present| {
+                        match sample.kind() {
+                            SampleKind::Put => present.insert(key),
+                            SampleKind::Delete => present.remove(&key),
+                        };
+                    });
+                })
+                .await;
+            match declared {
+                Ok(subscriber) => Ok(LiveWatch { present, _subscriber: subscriber }),
+                Err(source) => Err(BusError::Declare { key: key_expression, source }),
+            }
+        })
     }
 }
 

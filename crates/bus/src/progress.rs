@@ -9,6 +9,7 @@ use tracing::{debug, warn};
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::Sample;
 
+use crate::BoxedFuture;
 use crate::error::BusError;
 use crate::message::{Header, Progress};
 use crate::publish::DisplayPublisher;
@@ -38,29 +39,37 @@ impl Bus {
     ///
     /// # Errors
     /// Zenoh refuses the key, or the session is closed.
-    pub async fn publish_progress(&self, key: String, source: String) -> Result<ProgressPublisher, BusError> {
-        let publisher = self.publish_display(key).await?;
-        let (latest, changes) = watch::channel(None);
-        let mut repeating = JoinSet::new();
-        repeating.spawn(repeat(publisher, changes));
-        Ok(ProgressPublisher { source, latest, _repeating: repeating })
+    pub fn publish_progress<'a>(
+        &'a self,
+        key: String,
+        source: String,
+    ) -> BoxedFuture<'a, Result<ProgressPublisher, BusError>> {
+        Box::pin(async move {
+            let publisher = self.publish_display(key).await?;
+            let (latest, changes) = watch::channel(None);
+            let mut repeating = JoinSet::new();
+            repeating.spawn(repeat(publisher, changes));
+            Ok(ProgressPublisher { source, latest, _repeating: repeating })
+        })
     }
 
     /// Watches the progress put on a `progress` key.
     ///
     /// # Errors
     /// Zenoh refuses the key, or the session is closed.
-    pub async fn watch_progress(&self, key: String) -> Result<ProgressWatch, BusError> {
-        let (changes, latest) = watch::channel(None);
-        let declared = self.session().declare_subscriber(key.clone());
-        let subscriber = declared
-            .callback(move |sample: Sample| match read::<Progress>(&sample) {
-                Ok(progress) => drop(changes.send_replace(Some(progress))),
-                Err(error) => debug!(key = %sample.key_expr(), %error, "progress refused"),
-            })
-            .await
-            .map_err(|source| BusError::Declare { key, source })?;
-        Ok(ProgressWatch { latest, _subscriber: Arc::new(subscriber) })
+    pub fn watch_progress<'a>(&'a self, key: String) -> BoxedFuture<'a, Result<ProgressWatch, BusError>> {
+        Box::pin(async move {
+            let (changes, latest) = watch::channel(None);
+            let declared = self.session().declare_subscriber(key.clone());
+            let subscriber = declared
+                .callback(move |sample: Sample| match read::<Progress>(&sample) {
+                    Ok(progress) => drop(changes.send_replace(Some(progress))),
+                    Err(error) => debug!(key = %sample.key_expr(), %error, "progress refused"),
+                })
+                .await
+                .map_err(|source| BusError::Declare { key, source })?;
+            Ok(ProgressWatch { latest, _subscriber: Arc::new(subscriber) })
+        })
     }
 }
 

@@ -4,6 +4,7 @@ use tracing::debug;
 use zenoh::key_expr::KeyExpr;
 use zenoh::query::{Query, Queryable};
 
+use crate::BoxedFuture;
 use crate::error::BusError;
 use crate::message::Message;
 use crate::session::Bus;
@@ -26,18 +27,26 @@ impl Bus {
     ///
     /// # Errors
     /// Zenoh refuses the key expression, or the session is closed.
-    pub async fn questions(&self, key_expression: String, waiting: usize) -> Result<Questions, BusError> {
-        let (sender, queries) = flume::bounded(waiting.max(1));
-        let queryable = crate::publish::declare_queryable(self.session(), key_expression, sender).await?;
-        Ok(Questions { queries, _queryable: queryable })
+    pub fn questions<'a>(
+        &'a self,
+        key_expression: String,
+        waiting: usize,
+    ) -> BoxedFuture<'a, Result<Questions, BusError>> {
+        Box::pin(async move {
+            let (sender, queries) = flume::bounded(waiting.max(1));
+            let queryable = crate::publish::declare_queryable(self.session(), key_expression, sender).await?;
+            Ok(Questions { queries, _queryable: queryable })
+        })
     }
 }
 
 impl Questions {
     /// Waits for the next query; safe to drop while waiting. None once the session is closed.
-    pub async fn next(&self) -> Option<Question> {
-        let query = self.queries.recv_async().await.ok()?;
-        Some(Question { query })
+    pub fn next<'a>(&'a self) -> BoxedFuture<'a, Option<Question>> {
+        Box::pin(async move {
+            let query = self.queries.recv_async().await.ok()?;
+            Some(Question { query })
+        })
     }
 }
 

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use zenoh::Session;
 
+use crate::BoxedFuture;
 use crate::endpoint::{Endpoint, in_order};
 use crate::error::{BusError, ZenohError};
 use crate::follow::Start;
@@ -265,16 +266,18 @@ impl Bus {
     ///
     /// # Errors
     /// An endpoint that is taken or does not answer is named, with what to do about it.
-    pub async fn open(config: &BusConfig) -> Result<Self, BusError> {
-        if let Some(tls) = &config.tls {
-            tls.check()?;
-        }
-        let zenoh_config = config.zenoh_config()?;
-        let listen = protection::listen_endpoints(&zenoh_config)?;
-        match zenoh::open(zenoh_config).await {
-            Ok(session) => Ok(Self { session, queue: config.queue }),
-            Err(source) => Err(config.diagnose(&listen, source).await),
-        }
+    pub fn open<'a>(config: &'a BusConfig) -> BoxedFuture<'a, Result<Self, BusError>> {
+        Box::pin(async move {
+            if let Some(tls) = &config.tls {
+                tls.check()?;
+            }
+            let zenoh_config = config.zenoh_config()?;
+            let listen = protection::listen_endpoints(&zenoh_config)?;
+            match zenoh::open(zenoh_config).await {
+                Ok(session) => Ok(Self { session, queue: config.queue }),
+                Err(source) => Err(config.diagnose(&listen, source).await),
+            }
+        })
     }
 
     /// Opens a session that does nothing but route, from a configuration file of `zenohd`; needs a multi-threaded tokio
@@ -282,24 +285,26 @@ impl Bus {
     ///
     /// # Errors
     /// What is wrong with the file is named, as is an endpoint that is taken.
-    pub async fn open_router(file: &Path) -> Result<(Self, Vec<String>), BusError> {
-        let config = BusConfig { config_file: Some(file.to_owned()), ..BusConfig::default() };
-        let mut zenoh_config =
-            zenoh::Config::from_file(file).map_err(|source| BusError::ConfigFile { path: file.to_owned(), source })?;
-        match protection::mode(&zenoh_config)? {
-            // what zenohd takes a file for that does not say
-            None => set(&mut zenoh_config, "mode", &"router".into())?,
-            Some(Mode::Router) => {}
-            Some(found @ (Mode::Peer | Mode::Client)) => {
-                return Err(BusError::NotARouter { path: file.to_owned(), found });
+    pub fn open_router<'a>(file: &'a Path) -> BoxedFuture<'a, Result<(Self, Vec<String>), BusError>> {
+        Box::pin(async move {
+            let config = BusConfig { config_file: Some(file.to_owned()), ..BusConfig::default() };
+            let mut zenoh_config = zenoh::Config::from_file(file)
+                .map_err(|source| BusError::ConfigFile { path: file.to_owned(), source })?;
+            match protection::mode(&zenoh_config)? {
+                // what zenohd takes a file for that does not say
+                None => set(&mut zenoh_config, "mode", &"router".into())?,
+                Some(Mode::Router) => {}
+                Some(found @ (Mode::Peer | Mode::Client)) => {
+                    return Err(BusError::NotARouter { path: file.to_owned(), found });
+                }
             }
-        }
-        protection::check(&mut zenoh_config)?;
-        let listen = protection::listen_endpoints(&zenoh_config)?;
-        match zenoh::open(zenoh_config).await {
-            Ok(session) => Ok((Self { session, queue: config.queue }, listen)),
-            Err(source) => Err(config.diagnose(&listen, source).await),
-        }
+            protection::check(&mut zenoh_config)?;
+            let listen = protection::listen_endpoints(&zenoh_config)?;
+            match zenoh::open(zenoh_config).await {
+                Ok(session) => Ok((Self { session, queue: config.queue }, listen)),
+                Err(source) => Err(config.diagnose(&listen, source).await),
+            }
+        })
     }
 
     /// Settings for reading a lossless stream, with the queue of the configuration.
@@ -310,8 +315,8 @@ impl Bus {
     }
 
     /// Whether a router is connected to: it may allow parties what their roles need, and drop the rest.
-    pub async fn reaches_a_router(&self) -> bool {
-        self.session.info().routers_zid().await.next().is_some()
+    pub fn reaches_a_router<'a>(&'a self) -> BoxedFuture<'a, bool> {
+        Box::pin(async move { self.session.info().routers_zid().await.next().is_some() })
     }
 
     /// The Zenoh session below, for what this room does not offer.
@@ -324,9 +329,11 @@ impl Bus {
     ///
     /// # Errors
     /// Zenoh could not say goodbye in time.
-    pub async fn close(self) -> Result<(), BusError> {
-        let closed = self.session.close().await;
-        closed.map_err(|source| BusError::Close { source })
+    pub fn close(self) -> BoxedFuture<'static, Result<(), BusError>> {
+        Box::pin(async move {
+            let closed = self.session.close().await;
+            closed.map_err(|source| BusError::Close { source })
+        })
     }
 }
 

@@ -13,6 +13,7 @@ use tracing::warn;
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::Sample;
 
+use crate::BoxedFuture;
 use crate::buffer::{Buffer, Fetched};
 use crate::error::BusError;
 use crate::follow::{Action, Delivery, FollowCounts, Follower, Gap, Patience, Silence, Start};
@@ -203,14 +204,16 @@ impl Bus {
 
 impl Bus {
     /// Asks where a stream stands; none if nobody answers in time.
-    pub async fn stream_position(&self, buffer_key: &str, timeout: Duration) -> Option<CaughtUp> {
-        // Nobody has so many items: the answer can only be where the stream ends.
-        let range = QueryRange { after: u64::MAX, limit: 1, epoch: None };
-        let buffer = self.buffer(buffer_key.to_owned(), timeout).await.ok()?;
-        match buffer.ask::<SampleBlock>(range).await {
-            Fetched::Answer(Answer::CaughtUp(at)) => Some(at),
-            Fetched::Answer(Answer::Block(_)) | Fetched::Unreadable(_) | Fetched::Nothing(_) => None,
-        }
+    pub fn stream_position<'a>(&'a self, buffer_key: &'a str, timeout: Duration) -> BoxedFuture<'a, Option<CaughtUp>> {
+        Box::pin(async move {
+            // Nobody has so many items: the answer can only be where the stream ends.
+            let range = QueryRange { after: u64::MAX, limit: 1, epoch: None };
+            let buffer = self.buffer(buffer_key.to_owned(), timeout).await.ok()?;
+            match buffer.ask::<SampleBlock>(range).await {
+                Fetched::Answer(Answer::CaughtUp(at)) => Some(at),
+                Fetched::Answer(Answer::Block(_)) | Fetched::Unreadable(_) | Fetched::Nothing(_) => None,
+            }
+        })
     }
 }
 

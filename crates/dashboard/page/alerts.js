@@ -172,6 +172,10 @@ export class AcknowledgeDialog {
         const { error, allowed } = await response.json();
         return this.#failed(`${error}; ${allowed}`);
       }
+      if (response.status === 200) { // the alert service has taken it
+        this.element.close();
+        return this.sent();
+      }
     } catch {
       return this.#failed("Spandrel cannot be reached; it was not sent.");
     }

@@ -255,12 +255,8 @@ async fn acknowledge(
     if note.chars().count() > LONGEST_NOTE {
         return refuse("note is too long", format!("must have up to {LONGEST_NOTE} characters"));
     }
-    let names = {
-        let store = find(&server, &structure)?;
-        check_acknowledgeable(&store, &parameter)?;
-        (Name::new(&*structure), Name::new(&*parameter))
-    };
-    let (Ok(structure), Ok(parameter)) = names else {
+    let before = check_acknowledgeable(&*find(&server, &structure)?, &parameter)?;
+    let (Ok(structure), Ok(parameter)) = (Name::new(&*structure), Name::new(&*parameter)) else {
         return refuse("a name is none", "must be lower-case letters, digits and hyphens".to_owned());
     };
     if let Some(why) = server.cannot_acknowledge() {
@@ -270,14 +266,15 @@ async fn acknowledge(
     }
     let who = signed(who, visitor.as_ref());
     let acknowledgement = Acknowledgement { structure, parameter, time_ns: now_ns(), who, note };
-    if let Err(error) = server.acknowledge(&acknowledgement).await {
-        return Err(Mistake::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string(), "try again"));
+    match server.acknowledge(&acknowledgement, before).await {
+        Ok(Some(state)) => Ok(Json(json!({"sent": true, "state": state})).into_response()),
+        Ok(None) => Ok((StatusCode::ACCEPTED, Json(json!({"sent": true, "state": null}))).into_response()),
+        Err(error) => Err(Mistake::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string(), "try again")),
     }
-    Ok((StatusCode::ACCEPTED, Json(json!({"sent": true}))).into_response())
 }
 
-/// Whether there is an alert that somebody can have seen.
-fn check_acknowledgeable(store: &Store, parameter: &str) -> Result<(), Mistake> {
+/// The state of an alert that somebody can have seen.
+fn check_acknowledgeable(store: &Store, parameter: &str) -> Result<AlertState, Mistake> {
     if !store.about.parameters.iter().any(|known| known.name == parameter) {
         let names: Vec<&str> = store.about.parameters.iter().map(|known| known.name.as_str()).collect();
         let allowed = format!("must be one of: {}", names.join(", "));
@@ -285,7 +282,7 @@ fn check_acknowledgeable(store: &Store, parameter: &str) -> Result<(), Mistake> 
     }
     let state = store.alerts.get(parameter).map(|alert| alert.state);
     match state {
-        Some(AlertState::Raised | AlertState::Cleared | AlertState::Pending) => Ok(()),
+        Some(state @ (AlertState::Raised | AlertState::Cleared | AlertState::Pending)) => Ok(state),
         Some(AlertState::Learning | AlertState::Normal | AlertState::Acknowledged) | None => {
             let state = state.map_or("not known", AlertState::as_str);
             let what = format!("the alert of {parameter} is {state}");

@@ -4,7 +4,7 @@ use crate::gate::Gate;
 use crate::history::Earlier;
 use crate::overview::{Overview, overview};
 use crate::store::Store;
-use spandrel_bus::{Acknowledgement, Bus, BusError, HistorySpan, Keys};
+use spandrel_bus::{Acknowledgement, AlertMessage, AlertState, Bus, BusError, HistorySpan, Keys};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -17,6 +17,12 @@ const MOST_CLIENTS: usize = 64;
 
 /// Time for the history service to answer.
 const HISTORY_WITHIN: Duration = Duration::from_secs(3);
+
+/// Time for the alert service to answer an acknowledgement.
+const ANSWER_WITHIN: Duration = Duration::from_secs(2);
+
+/// Changes of one alert that wait to be compared with an acknowledgement.
+const CHANGES_WAITING: usize = 64;
 
 /// Shared by the requests and by what listens to the bus.
 #[derive(Debug)]
@@ -92,14 +98,34 @@ impl Server {
         self.structures.iter().map(|(keys, _)| keys.structure().as_str()).collect()
     }
 
-    /// Puts an acknowledgement on the bus.
-    pub(crate) async fn acknowledge(&self, acknowledgement: &Acknowledgement) -> Result<(), BusError> {
-        let Some((keys, _)) = self.structures.iter().find(|(keys, _)| *keys.structure() == acknowledgement.structure)
-        else {
-            return Ok(());
+    /// Puts an acknowledgement of an alert that is `before` on the bus; returns what the alert service has made of it, `None` where it
+    /// does not say so in time.
+    pub(crate) async fn acknowledge(
+        &self,
+        acknowledgement: &Acknowledgement,
+        before: AlertState,
+    ) -> Result<Option<AlertState>, BusError> {
+        let Acknowledgement { structure, parameter, who, .. } = acknowledgement;
+        let Some((keys, _)) = self.structures.iter().find(|(keys, _)| keys.structure() == structure) else {
+            return Ok(None);
         };
-        let publisher = self.bus.publish_display(keys.acknowledge(&acknowledgement.parameter)).await?;
-        publisher.put(acknowledgement).await
+        // before it is put: the answer may come at once
+        let alerts = self.bus.subscribe::<AlertMessage>(keys.alert(parameter), CHANGES_WAITING).await?;
+        let publisher = self.bus.publish_display(keys.acknowledge(parameter)).await?;
+        publisher.put(acknowledgement).await?;
+        let is_answer = |alert: &AlertMessage| match before {
+            AlertState::Raised => alert.acknowledged_by.as_ref() == Some(who),
+            _ => alert.state != AlertState::Raised, // what is over, or only pending, has no name beside it
+        };
+        let answered = async {
+            while let Ok((_, alert)) = alerts.messages().recv_async().await {
+                if is_answer(&alert) {
+                    return Some(alert.state);
+                }
+            }
+            None
+        };
+        Ok(tokio::time::timeout(ANSWER_WITHIN, answered).await.unwrap_or_default())
     }
 
     /// Asks the history service for what lies before what is kept here; what it does not answer in time is left out.

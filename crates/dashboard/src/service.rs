@@ -9,7 +9,7 @@ use crate::listen::Listening;
 use crate::server::{Server, now_ns};
 use crate::store::{Input, Store};
 use crate::tokens::Tokens;
-use spandrel_bus::{Bus, DisplayPublisher, Keys, LiveToken, Name, Service, Status};
+use spandrel_bus::{BoxedFuture, Bus, DisplayPublisher, Keys, LiveToken, Name, Service, Status};
 use spandrel_structure::Structure;
 use std::future::Future;
 use std::io;
@@ -85,33 +85,35 @@ impl DashboardService {
     /// # Errors
     /// When the address cannot be listened on, others can reach it without certificate and token, or the bus refuses a
     /// declaration.
-    pub async fn start(
-        structures: &[(&Structure, Keys)],
-        bus: &Bus,
-        page: &PageSettings,
+    pub fn start<'a>(
+        structures: &'a [(&'a Structure, Keys)],
+        bus: &'a Bus,
+        page: &'a PageSettings,
         id: Name,
-    ) -> Result<Self, DashboardError> {
-        let acceptor = page.certificate.as_ref().map(PageCertificate::acceptor).transpose()?;
-        let listener = bind(page).await?;
-        let serve = |source| DashboardError::Serve { source };
-        let address = listener.local_addr().map_err(serve)?;
-        let gate = Gate::new(page.tokens.clone(), acceptor.is_some());
-        let door = Door::new(listener, acceptor).map_err(serve)?;
-        let mut stores = Vec::new();
-        let mut sources = Vec::new();
-        for (structure, keys) in structures {
-            stores.push((keys.clone(), Store::new(About::new(structure))));
-            sources.push(Source {
-                listening: Listening::start(bus, keys).await?,
-                status: bus.publish_display(keys.status(Service::Dashboard, &id)).await?,
-                token: bus.announce(keys.live(Service::Dashboard, &id)).await?,
-                keys: keys.clone(),
-                taken: 0,
-            });
-        }
-        let server = Arc::new(Server::new(bus.clone(), stores, gate, page.cannot_acknowledge.clone()));
-        info!(address = %address, structures = structures.len(), "dashboard ready");
-        Ok(Self { door, address, server, sources, id })
+    ) -> BoxedFuture<'a, Result<Self, DashboardError>> {
+        Box::pin(async move {
+            let acceptor = page.certificate.as_ref().map(PageCertificate::acceptor).transpose()?;
+            let listener = bind(page).await?;
+            let serve = |source| DashboardError::Serve { source };
+            let address = listener.local_addr().map_err(serve)?;
+            let gate = Gate::new(page.tokens.clone(), acceptor.is_some());
+            let door = Door::new(listener, acceptor).map_err(serve)?;
+            let mut stores = Vec::new();
+            let mut sources = Vec::new();
+            for (structure, keys) in structures {
+                stores.push((keys.clone(), Store::new(About::new(structure))));
+                sources.push(Source {
+                    listening: Listening::start(bus, keys).await?,
+                    status: bus.publish_display(keys.status(Service::Dashboard, &id)).await?,
+                    token: bus.announce(keys.live(Service::Dashboard, &id)).await?,
+                    keys: keys.clone(),
+                    taken: 0,
+                });
+            }
+            let server = Arc::new(Server::new(bus.clone(), stores, gate, page.cannot_acknowledge.clone()));
+            info!(address = %address, structures = structures.len(), "dashboard ready");
+            Ok(Self { door, address, server, sources, id })
+        })
     }
 
     /// Where the page is served.
@@ -124,29 +126,35 @@ impl DashboardService {
     ///
     /// # Errors
     /// When the bus is closed underneath, or browsers can no longer be served.
-    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), DashboardError> {
-        let mut stopped = self.server.stopped();
-        let ended = async move {
-            // the server is kept until the end of this function, so that this waits for its word
-            let _ = stopped.wait_for(|stopped| *stopped).await;
-        };
-        let answering = router(self.server.clone()).into_make_service_with_connect_info::<ClientAddress>();
-        let serving = axum::serve(self.door, answering).with_graceful_shutdown(ended);
-        let mut serving = tokio::spawn(async move { serving.await });
-        let listened = tokio::select! {
-            listened = listen(&mut self.sources, &self.server, &self.id) => listened,
-            served = &mut serving => return Err(broken(served)),
-            () = stop => Ok(()),
-        };
-        self.server.stop();
-        if tokio::time::timeout(END_WITHIN, &mut serving).await.is_err() {
-            // a browser that keeps its connection open must not keep the program
-            serving.abort();
-        }
-        for source in self.sources {
-            source.token.withdraw().await?;
-        }
-        listened
+    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), DashboardError>> {
+        self.run_until(Box::pin(stop))
+    }
+
+    fn run_until(mut self, stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), DashboardError>> {
+        Box::pin(async move {
+            let mut stopped = self.server.stopped();
+            let ended = async move {
+                // the server is kept until the end of this function, so that this waits for its word
+                let _ = stopped.wait_for(|stopped| *stopped).await;
+            };
+            let answering = router(self.server.clone()).into_make_service_with_connect_info::<ClientAddress>();
+            let serving = axum::serve(self.door, answering).with_graceful_shutdown(ended);
+            let mut serving = tokio::spawn(async move { serving.await });
+            let listened = tokio::select! {
+                listened = listen(&mut self.sources, &self.server, &self.id) => listened,
+                served = &mut serving => return Err(broken(served)),
+                () = stop => Ok(()),
+            };
+            self.server.stop();
+            if tokio::time::timeout(END_WITHIN, &mut serving).await.is_err() {
+                // a browser that keeps its connection open must not keep the program
+                serving.abort();
+            }
+            for source in self.sources {
+                source.token.withdraw().await?;
+            }
+            listened
+        })
     }
 }
 

@@ -116,7 +116,7 @@ impl Site {
             std: 0.01,
             reference: Some(1.0),
             reference_std: Some(0.0),
-            acknowledged_by: None,
+            acknowledged_by: (state == AlertState::Acknowledged).then(|| "Ada".to_owned()),
             why: "storey-2 <b>has lost</b> 15 %".into(),
         };
         self.alert.put(&alert).await.unwrap();
@@ -241,11 +241,16 @@ async fn an_acknowledgement_goes_to_the_bus_with_name_and_note() {
     site.raise(AlertState::Raised).await;
     site.wait("an alarm", |found| found["raised"] == 1).await;
     let sent = site.acknowledge("storey-2", "", r#"{"who":" Ada ","note":"on my way"}"#).await;
-    assert_eq!((sent.status, sent.json()), (202, json!({"sent": true})));
+    assert_eq!((sent.status, sent.json()), (202, json!({"sent": true, "state": null})), "nobody has answered");
     let (key, found) = tokio::time::timeout(DEADLINE, heard.messages().recv_async()).await.unwrap().unwrap();
     assert_eq!(key, site.keys.acknowledge(&name("storey-2")));
     assert_eq!((found.who.as_str(), found.note.as_str()), ("Ada", "on my way"));
-    site.raise(AlertState::Acknowledged).await;
+    let taking = async {
+        heard.messages().recv_async().await.unwrap();
+        site.raise(AlertState::Acknowledged).await;
+    };
+    let (sent, ()) = tokio::join!(site.acknowledge("storey-2", "", r#"{"who":"Ada"}"#), taking);
+    assert_eq!((sent.status, sent.json()), (200, json!({"sent": true, "state": "acknowledged"})));
     site.wait("no alarm", |found| found["raised"] == 0).await;
     site.acknowledge("storey-2", "", r#"{"who":"Ada"}"#).await.expect_refused(409, "is acknowledged");
     assert!(heard.messages().is_empty(), "what is refused is not sent");

@@ -3,9 +3,9 @@
 use crate::error::FuseError;
 use crate::fusion::{Fusion, Input, Output};
 use spandrel_bus::{
-    Bus, BusError, Description, DisplayPublisher, EstimateBlock, Event, FeedbackMessage, Keys, LatestPublisher,
-    LiveToken, LiveWatch, LocalMessage, Message, Name, NodeDisplay, NumberedPublisher, NumberedStream, OutlierDisplay,
-    ParameterDisplay, ProgressPublisher, Service, Status, StreamState, Subscription,
+    BoxedFuture, Bus, BusError, Description, DisplayPublisher, EstimateBlock, Event, FeedbackMessage, Keys,
+    LatestPublisher, LiveToken, LiveWatch, LocalMessage, Message, Name, NodeDisplay, NumberedPublisher, NumberedStream,
+    OutlierDisplay, ParameterDisplay, ProgressPublisher, Service, Status, StreamState, Subscription,
 };
 use spandrel_filter::fusion::compression::MISSED_MASS;
 use spandrel_structure::Structure;
@@ -57,105 +57,121 @@ impl FuseService {
     ///
     /// # Errors
     /// When the structure is not identified by its nodes, or the bus refuses a declaration.
-    pub async fn start(structure: &Structure, bus: &Bus, keys: Keys, id: Name, epoch: u64) -> Result<Self, FuseError> {
-        let core = Fusion::new(structure, id.as_str(), epoch)?;
-        let estimates = bus
-            .publish_numbered(NumberedStream {
-                key: keys.estimates(),
-                buffer_key: keys.estimates_buffer(),
-                source: id.to_string(),
+    pub fn start<'a>(
+        structure: &'a Structure,
+        bus: &'a Bus,
+        keys: Keys,
+        id: Name,
+        epoch: u64,
+    ) -> BoxedFuture<'a, Result<Self, FuseError>> {
+        Box::pin(async move {
+            let core = Fusion::new(structure, id.as_str(), epoch)?;
+            let estimates = bus
+                .publish_numbered(NumberedStream {
+                    key: keys.estimates(),
+                    buffer_key: keys.estimates_buffer(),
+                    source: id.to_string(),
+                    epoch,
+                    first: 0,
+                    state: StreamState::Running,
+                    capacity: ESTIMATES_KEPT,
+                    forget: None,
+                })
+                .await?;
+            let mut parameters = BTreeMap::new();
+            for name in core.parameter_names() {
+                parameters.insert(name.clone(), bus.publish_display(keys.parameter(name)).await?);
+            }
+            let (mut feedback, mut nodes, mut positions) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
+            let mut tokens = Vec::new();
+            for (position, name) in core.node_names().enumerate() {
+                feedback.push(bus.publish_display(keys.feedback(name)).await?);
+                nodes.insert(name.clone(), bus.publish_display(keys.node(name)).await?);
+                positions.insert(keys.local(name), position);
+                tokens.push(keys.live(Service::Identify, name));
+            }
+            let mut outliers = BTreeMap::new();
+            for channel in core.screened_channels().flatten() {
+                outliers.insert(channel.clone(), bus.publish_display(keys.outlier(channel)).await?);
+            }
+            let description = bus.publish_latest(keys.description()).await?;
+            description
+                .put(&Description { structure: keys.structure().clone(), text: structure.text().to_owned() })
+                .await?;
+            let named = |text: &str| {
+                Name::new(text).map_err(|source| FuseError::Name { structure: structure.name().to_owned(), source })
+            };
+            let service = Self {
+                messages: bus.subscribe(keys.all_local(), MESSAGES_WAITING).await?,
+                presence: bus.watch_live(keys.all_live(Service::Identify)).await?,
+                estimates,
+                parameters,
+                feedback,
+                nodes,
+                outliers,
+                positions,
+                tokens,
+                events: bus.publish_display(keys.event()).await?,
+                _description: description,
+                progress: bus.publish_progress(keys.progress(Service::Fuse), id.to_string()).await?,
+                status: bus.publish_display(keys.status(Service::Fuse, &id)).await?,
+                service: named(Service::Fuse.as_str())?,
+                token: Some(bus.announce(keys.live(Service::Fuse, &id)).await?),
+                core,
+                keys,
+                id,
                 epoch,
-                first: 0,
-                state: StreamState::Running,
-                capacity: ESTIMATES_KEPT,
-                forget: None,
-            })
-            .await?;
-        let mut parameters = BTreeMap::new();
-        for name in core.parameter_names() {
-            parameters.insert(name.clone(), bus.publish_display(keys.parameter(name)).await?);
-        }
-        let (mut feedback, mut nodes, mut positions) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
-        let mut tokens = Vec::new();
-        for (position, name) in core.node_names().enumerate() {
-            feedback.push(bus.publish_display(keys.feedback(name)).await?);
-            nodes.insert(name.clone(), bus.publish_display(keys.node(name)).await?);
-            positions.insert(keys.local(name), position);
-            tokens.push(keys.live(Service::Identify, name));
-        }
-        let mut outliers = BTreeMap::new();
-        for channel in core.screened_channels().flatten() {
-            outliers.insert(channel.clone(), bus.publish_display(keys.outlier(channel)).await?);
-        }
-        let description = bus.publish_latest(keys.description()).await?;
-        description
-            .put(&Description { structure: keys.structure().clone(), text: structure.text().to_owned() })
-            .await?;
-        let named = |text: &str| {
-            Name::new(text).map_err(|source| FuseError::Name { structure: structure.name().to_owned(), source })
-        };
-        let service = Self {
-            messages: bus.subscribe(keys.all_local(), MESSAGES_WAITING).await?,
-            presence: bus.watch_live(keys.all_live(Service::Identify)).await?,
-            estimates,
-            parameters,
-            feedback,
-            nodes,
-            outliers,
-            positions,
-            tokens,
-            events: bus.publish_display(keys.event()).await?,
-            _description: description,
-            progress: bus.publish_progress(keys.progress(Service::Fuse), id.to_string()).await?,
-            status: bus.publish_display(keys.status(Service::Fuse, &id)).await?,
-            service: named(Service::Fuse.as_str())?,
-            token: Some(bus.announce(keys.live(Service::Fuse, &id)).await?),
-            core,
-            keys,
-            id,
-            epoch,
-        };
-        info!(structure = structure.name(), nodes = service.feedback.len(), "station ready");
-        if let Some((modes, missed)) = structure.sent_modes().filter(|(_, missed)| *missed > MISSED_MASS) {
-            warn!(structure = structure.name(), modes, missed, "the modes that nodes send miss a share of the mass");
-        }
-        Ok(service)
+            };
+            info!(structure = structure.name(), nodes = service.feedback.len(), "station ready");
+            if let Some((modes, missed)) = structure.sent_modes().filter(|(_, missed)| *missed > MISSED_MASS) {
+                warn!(
+                    structure = structure.name(),
+                    modes, missed, "the modes that nodes send miss a share of the mass"
+                );
+            }
+            Ok(service)
+        })
     }
 
     /// Runs until `stop`; messages that have arrived are still fused.
     ///
     /// # Errors
     /// When the bus is closed underneath.
-    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), FuseError> {
-        tokio::pin!(stop);
-        let mut clock = tokio::time::interval(TICK);
-        let messages = self.messages.messages().clone();
-        let mut ticks = 0;
-        self.note_presence().await?;
-        loop {
-            tokio::select! {
-                message = messages.recv_async() => match message {
-                    Ok((key, message)) => self.take(&key, message).await?,
-                    Err(flume::RecvError::Disconnected) => break,
-                },
-                _present = self.presence.changed() => self.note_presence().await?,
-                _ = clock.tick() => {
-                    self.handle(Input::Tick(now_ns())).await?;
-                    ticks += 1;
-                    if ticks % TICKS_PER_STATUS == 0 {
-                        self.put_status().await?;
+    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), FuseError>> {
+        self.run_until(Box::pin(stop))
+    }
+
+    fn run_until(mut self, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), FuseError>> {
+        Box::pin(async move {
+            let mut clock = tokio::time::interval(TICK);
+            let messages = self.messages.messages().clone();
+            let mut ticks = 0;
+            self.note_presence().await?;
+            loop {
+                tokio::select! {
+                    message = messages.recv_async() => match message {
+                        Ok((key, message)) => self.take(&key, message).await?,
+                        Err(flume::RecvError::Disconnected) => break,
+                    },
+                    _present = self.presence.changed() => self.note_presence().await?,
+                    _ = clock.tick() => {
+                        self.handle(Input::Tick(now_ns())).await?;
+                        ticks += 1;
+                        if ticks % TICKS_PER_STATUS == 0 {
+                            self.put_status().await?;
+                        }
                     }
+                    () = &mut stop => break,
                 }
-                () = &mut stop => break,
             }
-        }
-        while let Ok(Ok((key, message))) = tokio::time::timeout(LAST_MESSAGES, messages.recv_async()).await {
-            self.take(&key, message).await?;
-        }
-        if let Some(token) = self.token.take() {
-            token.withdraw().await?;
-        }
-        Ok(())
+            while let Ok(Ok((key, message))) = tokio::time::timeout(LAST_MESSAGES, messages.recv_async()).await {
+                self.take(&key, message).await?;
+            }
+            if let Some(token) = self.token.take() {
+                token.withdraw().await?;
+            }
+            Ok(())
+        })
     }
 
     async fn note_presence(&mut self) -> Result<(), FuseError> {

@@ -6,9 +6,9 @@ use crate::database::Database;
 use crate::error::HistoryError;
 use crate::settings::{Address, Keep};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Bus, BusError, DisplayPublisher, Event, HistoryLog, Keys, LiveToken, LiveWatch,
-    ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Question, Questions, Service,
-    SpanQuery, Status, Subscription, Topic, parse_key,
+    Acknowledgement, AlertMessage, BoxedFuture, Bus, BusError, DisplayPublisher, Event, HistoryLog, Keys, LiveToken,
+    LiveWatch, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Question,
+    Questions, Service, SpanQuery, Status, Subscription, Topic, parse_key,
 };
 use spandrel_structure::Structure;
 use std::collections::{BTreeMap, BTreeSet};
@@ -97,47 +97,49 @@ impl HistoryService {
     ///
     /// # Errors
     /// When the file or its tables cannot be used, or the bus refuses a declaration.
-    pub async fn start(
-        structures: &[(&Structure, Keys)],
-        bus: &Bus,
-        address: &Address,
+    pub fn start<'a>(
+        structures: &'a [(&'a Structure, Keys)],
+        bus: &'a Bus,
+        address: &'a Address,
         keep: Keep,
         id: Name,
-    ) -> Result<Self, HistoryError> {
-        if let Address::Sqlite(file) = address
-            && let Some(folder) = file.parent().filter(|folder| !folder.as_os_str().is_empty())
-        {
-            let made = std::fs::create_dir_all(folder);
-            made.map_err(|source| HistoryError::Folder { path: folder.to_owned(), source })?;
-        }
-        let database = Database::new(address)?;
-        match (database.ready().await, address) {
-            (Ok(()), _) => {}
-            (Err(error @ HistoryError::Database { .. }), Address::Postgres(_)) => {
-                warn!(%error, reason = reason(&error), "history waits for its database");
+    ) -> BoxedFuture<'a, Result<Self, HistoryError>> {
+        Box::pin(async move {
+            if let Address::Sqlite(file) = address
+                && let Some(folder) = file.parent().filter(|folder| !folder.as_os_str().is_empty())
+            {
+                let made = std::fs::create_dir_all(folder);
+                made.map_err(|source| HistoryError::Folder { path: folder.to_owned(), source })?;
             }
-            (Err(error), _) => return Err(error),
-        }
-        let mut service = Self {
-            sources: Vec::new(),
-            database,
-            keep,
-            waiting: Arc::default(),
-            life: format!("{}-{}", now_ns(), std::process::id()),
-            service: Name::new(Service::History.as_str())?,
-            id,
-            answering: JoinSet::new(),
-            asked: JoinSet::new(),
-            logged: flume::bounded(ALERTS_WAITING),
-        };
-        for (structure, keys) in structures {
-            service.listen(structure, keys, bus).await?;
-        }
-        if address.believes_the_network() {
-            warn!(database = %address, "the server need not show who it is: sslmode=verify-full asks it to");
-        }
-        info!(database = %address, structures = structures.len(), "history ready");
-        Ok(service)
+            let database = Database::new(address)?;
+            match (database.ready().await, address) {
+                (Ok(()), _) => {}
+                (Err(error @ HistoryError::Database { .. }), Address::Postgres(_)) => {
+                    warn!(%error, reason = reason(&error), "history waits for its database");
+                }
+                (Err(error), _) => return Err(error),
+            }
+            let mut service = Self {
+                sources: Vec::new(),
+                database,
+                keep,
+                waiting: Arc::default(),
+                life: format!("{}-{}", now_ns(), std::process::id()),
+                service: Name::new(Service::History.as_str())?,
+                id,
+                answering: JoinSet::new(),
+                asked: JoinSet::new(),
+                logged: flume::bounded(ALERTS_WAITING),
+            };
+            for (structure, keys) in structures {
+                service.listen(structure, keys, bus).await?;
+            }
+            if address.believes_the_network() {
+                warn!(database = %address, "the server need not show who it is: sslmode=verify-full asks it to");
+            }
+            info!(database = %address, structures = structures.len(), "history ready");
+            Ok(service)
+        })
     }
 
     async fn listen(&mut self, structure: &Structure, keys: &Keys, bus: &Bus) -> Result<(), HistoryError> {
@@ -175,27 +177,37 @@ impl HistoryService {
     ///
     /// # Errors
     /// When the bus is closed underneath.
-    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), HistoryError> {
-        let (stopped, stopping) = watch::channel(false);
-        let mut writing = tokio::spawn(write(self.database.clone(), self.waiting.clone(), self.life.clone(), stopping));
-        let mut number = 0;
-        let listened = tokio::select! {
-            listened = self.gather(&mut number) => listened,
-            () = stop => Ok(()),
-        };
-        self.take();
-        self.pass_on(&mut number);
-        stopped.send_replace(true);
-        if tokio::time::timeout(END_WITHIN, &mut writing).await.is_err() {
-            writing.abort();
-            warn!(rows = self.waiting.backlog().rows(), "the database does not take the last values, they are lost");
-        }
-        self.answering.shutdown().await;
-        self.database.close().await;
-        for source in self.sources {
-            source.token.withdraw().await?;
-        }
-        listened
+    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), HistoryError>> {
+        self.run_until(Box::pin(stop))
+    }
+
+    fn run_until(mut self, stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), HistoryError>> {
+        Box::pin(async move {
+            let (stopped, stopping) = watch::channel(false);
+            let mut writing =
+                tokio::spawn(write(self.database.clone(), self.waiting.clone(), self.life.clone(), stopping));
+            let mut number = 0;
+            let listened = tokio::select! {
+                listened = self.gather(&mut number) => listened,
+                () = stop => Ok(()),
+            };
+            self.take();
+            self.pass_on(&mut number);
+            stopped.send_replace(true);
+            if tokio::time::timeout(END_WITHIN, &mut writing).await.is_err() {
+                writing.abort();
+                warn!(
+                    rows = self.waiting.backlog().rows(),
+                    "the database does not take the last values, they are lost"
+                );
+            }
+            self.answering.shutdown().await;
+            self.database.close().await;
+            for source in self.sources {
+                source.token.withdraw().await?;
+            }
+            listened
+        })
     }
 
     /// Takes from the bus and passes on, for ever.

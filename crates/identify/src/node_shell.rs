@@ -5,8 +5,8 @@ use crate::node::{NodeIdentification, NodeInput, NodeOutput};
 use crate::pool::FilterPool;
 use crate::shell::log_event;
 use spandrel_bus::{
-    Block, Bus, Delivery, DisplayPublisher, Event, FeedbackMessage, Keys, LiveToken, LocalMessage, Name, Pace,
-    SampleBlock, Service, Start, Status, Stream, Subscription,
+    Block, BoxedFuture, Bus, Delivery, DisplayPublisher, Event, FeedbackMessage, Keys, LiveToken, LocalMessage, Name,
+    Pace, SampleBlock, Service, Start, Status, Stream, Subscription,
 };
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
@@ -54,78 +54,85 @@ impl NodeService {
     ///
     /// # Errors
     /// When the node cannot identify for itself, or the bus refuses a declaration.
-    pub async fn start(
-        structure: &Structure,
+    pub fn start<'a>(
+        structure: &'a Structure,
         position: usize,
-        bus: &Bus,
-        keys: &Keys,
+        bus: &'a Bus,
+        keys: &'a Keys,
         epoch: u64,
         pool: FilterPool,
-    ) -> Result<Self, IdentifyError> {
-        let core = NodeIdentification::new(structure, position, epoch)?;
-        let named = |name: &str| {
-            Name::new(name).map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })
-        };
-        let node = named(structure.nodes()[position].name())?;
-        let settings = bus.reading(Start::Beginning);
-        let samples = bus.follow(keys.samples(&node), keys.buffer(&node), settings).await?;
-        let service = Self {
-            samples,
-            bus: bus.clone(),
-            buffer_key: keys.buffer(&node),
-            begins_at: None,
-            pool,
-            feedback: bus.subscribe(keys.feedback(&node), ANSWERS_WAITING).await?,
-            local: bus.publish_display(keys.local(&node)).await?,
-            events: bus.publish_display(keys.event()).await?,
-            status: bus.publish_display(keys.status(Service::Identify, &node)).await?,
-            token: Some(bus.announce(keys.live(Service::Identify, &node)).await?),
-            structure: keys.structure().clone(),
-            service: named(Service::Identify.as_str())?,
-            node,
-            core: Some(core),
-        };
-        info!(structure = structure.name(), node = service.node.as_str(), "node ready");
-        Ok(service)
+    ) -> BoxedFuture<'a, Result<Self, IdentifyError>> {
+        Box::pin(async move {
+            let core = NodeIdentification::new(structure, position, epoch)?;
+            let named = |name: &str| {
+                Name::new(name).map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })
+            };
+            let node = named(structure.nodes()[position].name())?;
+            let settings = bus.reading(Start::Beginning);
+            let samples = bus.follow(keys.samples(&node), keys.buffer(&node), settings).await?;
+            let service = Self {
+                samples,
+                bus: bus.clone(),
+                buffer_key: keys.buffer(&node),
+                begins_at: None,
+                pool,
+                feedback: bus.subscribe(keys.feedback(&node), ANSWERS_WAITING).await?,
+                local: bus.publish_display(keys.local(&node)).await?,
+                events: bus.publish_display(keys.event()).await?,
+                status: bus.publish_display(keys.status(Service::Identify, &node)).await?,
+                token: Some(bus.announce(keys.live(Service::Identify, &node)).await?),
+                structure: keys.structure().clone(),
+                service: named(Service::Identify.as_str())?,
+                node,
+                core: Some(core),
+            };
+            info!(structure = structure.name(), node = service.node.as_str(), "node ready");
+            Ok(service)
+        })
     }
 
     /// Runs until `stop`; samples that have arrived are still done.
     ///
     /// # Errors
     /// When the bus is closed underneath, or the thread of a filter was lost.
-    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), IdentifyError> {
-        tokio::pin!(stop);
-        let mut status = tokio::time::interval(STATUS_EVERY);
-        let deliveries = self.samples.deliveries().clone();
-        let answers = self.feedback.messages().clone();
-        loop {
-            let waits = self.core.as_ref().is_some_and(|core| core.awaits().is_some());
-            tokio::select! {
-                answer = answers.recv_async() => match answer {
-                    Ok((_, feedback)) => self.take(NodeInput::Feedback(feedback)).await?,
-                    Err(flume::RecvError::Disconnected) => break,
-                },
-                delivery = deliveries.recv_async(), if !waits => match delivery {
-                    Ok(delivery) => self.take_delivery(delivery).await?,
-                    Err(flume::RecvError::Disconnected) => break,
-                },
-                () = tokio::time::sleep(ANSWER_WITHIN), if waits => {
-                    let (structure, node) = (self.structure.as_str(), self.node.as_str());
-                    warn!(structure, node, "no answer of the station: going on without it");
-                    self.take(NodeInput::NoAnswer).await?;
+    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), IdentifyError>> {
+        self.run_until(Box::pin(stop))
+    }
+
+    fn run_until(mut self, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), IdentifyError>> {
+        Box::pin(async move {
+            let mut status = tokio::time::interval(STATUS_EVERY);
+            let deliveries = self.samples.deliveries().clone();
+            let answers = self.feedback.messages().clone();
+            loop {
+                let waits = self.core.as_ref().is_some_and(|core| core.awaits().is_some());
+                tokio::select! {
+                    answer = answers.recv_async() => match answer {
+                        Ok((_, feedback)) => self.take(NodeInput::Feedback(feedback)).await?,
+                        Err(flume::RecvError::Disconnected) => break,
+                    },
+                    delivery = deliveries.recv_async(), if !waits => match delivery {
+                        Ok(delivery) => self.take_delivery(delivery).await?,
+                        Err(flume::RecvError::Disconnected) => break,
+                    },
+                    () = tokio::time::sleep(ANSWER_WITHIN), if waits => {
+                        let (structure, node) = (self.structure.as_str(), self.node.as_str());
+                        warn!(structure, node, "no answer of the station: going on without it");
+                        self.take(NodeInput::NoAnswer).await?;
+                    }
+                    _ = status.tick() => self.put_status().await?,
+                    () = &mut stop => break,
                 }
-                _ = status.tick() => self.put_status().await?,
-                () = &mut stop => break,
             }
-        }
-        while let Ok(Ok(delivery)) = tokio::time::timeout(LAST_SAMPLES, deliveries.recv_async()).await {
-            self.take_delivery(delivery).await?;
-            self.take(NodeInput::NoAnswer).await?;
-        }
-        if let Some(token) = self.token.take() {
-            token.withdraw().await?;
-        }
-        Ok(())
+            while let Ok(Ok(delivery)) = tokio::time::timeout(LAST_SAMPLES, deliveries.recv_async()).await {
+                self.take_delivery(delivery).await?;
+                self.take(NodeInput::NoAnswer).await?;
+            }
+            if let Some(token) = self.token.take() {
+                token.withdraw().await?;
+            }
+            Ok(())
+        })
     }
 
     async fn take_delivery(&mut self, delivery: Delivery<SampleBlock>) -> Result<(), IdentifyError> {

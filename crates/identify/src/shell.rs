@@ -9,8 +9,8 @@ use crate::pool::FilterPool;
 use crate::seat::{Precedence, Seat, StandingBy};
 use crate::trouble::Trouble;
 use spandrel_bus::{
-    Block, Bus, BusError, Claims, Delivery, DisplayPublisher, Event, EventKind, FrameBlock, Keys, LiveToken, LiveWatch,
-    Load, Name, Pace, ProgressWatch, Service, Start, Status, Stream, StreamState, Subscription,
+    Block, BoxedFuture, Bus, BusError, Claims, Delivery, DisplayPublisher, Event, EventKind, FrameBlock, Keys,
+    LiveToken, LiveWatch, Load, Name, Pace, ProgressWatch, Service, Start, Status, Stream, StreamState, Subscription,
 };
 use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
@@ -81,116 +81,123 @@ impl IdentifyService {
     ///
     /// # Errors
     /// When the filter cannot be made, the checkpoints cannot be kept, or the bus refuses a declaration.
-    pub async fn start(
-        structure: &Structure,
-        bus: &Bus,
+    pub fn start<'a>(
+        structure: &'a Structure,
+        bus: &'a Bus,
         keys: Keys,
         id: Name,
         pool: FilterPool,
-        remembering: Option<&Remembering>,
+        remembering: Option<&'a Remembering>,
         precedence: Precedence,
-    ) -> Result<Self, IdentifyError> {
-        let memory = match remembering {
-            Some(remembering) => {
-                let alert = bus.watch_progress(keys.progress(Service::Alert)).await?;
-                Some(Memory::open(structure, remembering, alert)?)
+    ) -> BoxedFuture<'a, Result<Self, IdentifyError>> {
+        Box::pin(async move {
+            let memory = match remembering {
+                Some(remembering) => {
+                    let alert = bus.watch_progress(keys.progress(Service::Alert)).await?;
+                    Some(Memory::open(structure, remembering, alert)?)
+                }
+                None => None,
+            };
+            let core = Identification::new(structure, id.as_str())?;
+            let mut service = Self {
+                structure: structure.clone(),
+                trouble: Trouble::default(),
+                pool,
+                frames: None,
+                seat: Seat::Joining,
+                claims: bus.watch_claims(&keys).await?,
+                ingest: bus.watch_live(keys.all_live(Service::Ingest)).await?,
+                led: bus.watch_progress(keys.progress(Service::Identify)).await?,
+                heard: 0,
+                awake: Instant::now(),
+                failed_joins: 0,
+                displays: Displays::declare(&core, bus, &keys).await?,
+                status: bus.publish_display(keys.status(Service::Identify, &id)).await?,
+                token: None,
+                core: None,
+                service: Name::new(Service::Identify.as_str())
+                    .map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })?,
+                last_time_ns: None,
+                epoch: 0,
+                memory,
+                made: bus.watch_progress(keys.progress(Service::Ingest)).await?,
+                ingest_statuses: bus.subscribe(keys.statuses(Service::Ingest), STATUSES_WAITING).await?,
+                pace: None,
+                load: LoadState::new(),
+                shed: 0,
+                bus: bus.clone(),
+                keys,
+                id,
+            };
+            let leader = bus.ask_who_leads(&service.keys, standing::WHO_LEADS_WITHIN).await?;
+            service.hear(leader.as_ref());
+            match precedence {
+                Precedence::Leads => {
+                    service.begin().await?;
+                    service.lead("it has been started").await?;
+                }
+                Precedence::StandsBy if leader.is_none() => service.begin().await?,
+                Precedence::StandsBy => {}
             }
-            None => None,
-        };
-        let core = Identification::new(structure, id.as_str())?;
-        let mut service = Self {
-            structure: structure.clone(),
-            trouble: Trouble::default(),
-            pool,
-            frames: None,
-            seat: Seat::Joining,
-            claims: bus.watch_claims(&keys).await?,
-            ingest: bus.watch_live(keys.all_live(Service::Ingest)).await?,
-            led: bus.watch_progress(keys.progress(Service::Identify)).await?,
-            heard: 0,
-            awake: Instant::now(),
-            failed_joins: 0,
-            displays: Displays::declare(&core, bus, &keys).await?,
-            status: bus.publish_display(keys.status(Service::Identify, &id)).await?,
-            token: None,
-            core: None,
-            service: Name::new(Service::Identify.as_str())
-                .map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })?,
-            last_time_ns: None,
-            epoch: 0,
-            memory,
-            made: bus.watch_progress(keys.progress(Service::Ingest)).await?,
-            ingest_statuses: bus.subscribe(keys.statuses(Service::Ingest), STATUSES_WAITING).await?,
-            pace: None,
-            load: LoadState::new(),
-            shed: 0,
-            bus: bus.clone(),
-            keys,
-            id,
-        };
-        let leader = bus.ask_who_leads(&service.keys, standing::WHO_LEADS_WITHIN).await?;
-        service.hear(leader.as_ref());
-        match precedence {
-            Precedence::Leads => {
-                service.begin().await?;
-                service.lead("it has been started").await?;
-            }
-            Precedence::StandsBy if leader.is_none() => service.begin().await?,
-            Precedence::StandsBy => {}
-        }
-        service.token = Some(bus.announce(service.keys.live(Service::Identify, &service.id)).await?);
-        let (parameters, noise_levels) = service.displays.counts();
-        info!(
-            structure = service.keys.structure().as_str(),
-            parameters,
-            noise_levels,
-            sampling_rate_hz = structure.sampling_rate_hz(),
-            state = ?service.seat.standing(),
-            "identification ready"
-        );
-        Ok(service)
+            service.token = Some(bus.announce(service.keys.live(Service::Identify, &service.id)).await?);
+            let (parameters, noise_levels) = service.displays.counts();
+            info!(
+                structure = service.keys.structure().as_str(),
+                parameters,
+                noise_levels,
+                sampling_rate_hz = structure.sampling_rate_hz(),
+                state = ?service.seat.standing(),
+                "identification ready"
+            );
+            Ok(service)
+        })
     }
 
     /// Runs until `stop`; blocks that have arrived are still done.
     ///
     /// # Errors
     /// When the bus is closed underneath, or the thread of a filter was lost.
-    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), IdentifyError> {
-        tokio::pin!(stop);
-        let mut status = tokio::time::interval(STATUS_EVERY);
-        loop {
-            // Not biased: at full speed frames never stop, and status and stop must still get their turn.
-            tokio::select! {
-                delivery = next(self.frames.as_ref()) => match delivery {
-                    Some(delivery) => self.take(delivery).await?,
-                    None => break,
-                },
-                question = self.seat.question() => self.answer(question),
-                () = self.claims.changed() => self.reconsider().await?,
-                _ = self.ingest.changed() => self.reconsider().await?,
-                _ = status.tick() => {
-                    self.reconsider().await?;
-                    if !self.look_at_the_load().await? {
-                        self.put_status().await?;
+    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), IdentifyError>> {
+        self.run_until(Box::pin(stop))
+    }
+
+    fn run_until(mut self, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), IdentifyError>> {
+        Box::pin(async move {
+            let mut status = tokio::time::interval(STATUS_EVERY);
+            loop {
+                // Not biased: at full speed frames never stop, and status and stop must still get their turn.
+                tokio::select! {
+                    delivery = next(self.frames.as_ref()) => match delivery {
+                        Some(delivery) => self.take(delivery).await?,
+                        None => break,
+                    },
+                    question = self.seat.question() => self.answer(question),
+                    () = self.claims.changed() => self.reconsider().await?,
+                    _ = self.ingest.changed() => self.reconsider().await?,
+                    _ = status.tick() => {
+                        self.reconsider().await?;
+                        if !self.look_at_the_load().await? {
+                            self.put_status().await?;
+                        }
                     }
+                    () = &mut stop => break,
                 }
-                () = &mut stop => break,
             }
-        }
-        // Ingest has stopped before: what it put last may still be on its way through the reader.
-        while let Ok(Some(delivery)) = tokio::time::timeout(LAST_FRAMES, next(self.frames.as_ref())).await {
-            self.take(delivery).await?;
-        }
-        if let (Some(memory), Some(core)) = (self.memory.take(), &self.core) {
-            memory.close(core).await;
-        }
-        if let Seat::Leading(leading) = self.seat {
-            leading.token.withdraw().await?; // who stands by takes over from what was put last
-        }
-        if let Some(token) = self.token.take() {
-            token.withdraw().await?;
-        }
-        Ok(())
+            // Ingest has stopped before: what it put last may still be on its way through the reader.
+            while let Ok(Some(delivery)) = tokio::time::timeout(LAST_FRAMES, next(self.frames.as_ref())).await {
+                self.take(delivery).await?;
+            }
+            if let (Some(memory), Some(core)) = (self.memory.take(), &self.core) {
+                memory.close(core).await;
+            }
+            if let Seat::Leading(leading) = self.seat {
+                leading.token.withdraw().await?; // who stands by takes over from what was put last
+            }
+            if let Some(token) = self.token.take() {
+                token.withdraw().await?;
+            }
+            Ok(())
+        })
     }
 
     async fn take(&mut self, delivery: Delivery<FrameBlock>) -> Result<(), IdentifyError> {

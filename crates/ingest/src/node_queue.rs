@@ -8,6 +8,8 @@ use crate::counts::Counts;
 
 /// Most samples that wait; more are dropped and counted, because a node may be ahead for ever with a wrong clock.
 const MAX_WAITING: usize = 1 << 17;
+/// Room for so many samples is kept; what a node that was further ahead has taken is given back.
+const ROOM_KEPT: usize = 1 << 10;
 /// Most blocks that are put aside; enough for what a replay has on the way when it is started again.
 const MAX_PARKED: usize = 1 << 13;
 
@@ -119,6 +121,7 @@ impl NodeQueue {
                 self.values.truncate(self.values.len() - self.channels());
                 counts.retracted += 1;
             }
+            self.give_back();
             self.newest_ns = Some(time_ns);
             if self.times_ns.len() >= MAX_WAITING {
                 counts.overflowed += 1;
@@ -143,6 +146,7 @@ impl NodeQueue {
         for (place, value) in frame.iter_mut().zip(self.values.drain(..self.ranges.len())) {
             *place = value;
         }
+        self.give_back();
     }
 
     /// Drops the first sample.
@@ -150,6 +154,19 @@ impl NodeQueue {
         self.times_ns.pop_front();
         self.numbers.pop_front();
         self.values.drain(..self.ranges.len());
+        self.give_back();
+    }
+
+    /// Keeps room for twice what waits once three quarters of it are empty.
+    fn give_back(&mut self) {
+        let (waiting, room) = (self.times_ns.len(), self.times_ns.capacity());
+        if room <= 2 * ROOM_KEPT || waiting >= room / 4 {
+            return;
+        }
+        let kept = (2 * waiting).max(ROOM_KEPT);
+        self.times_ns.shrink_to(kept);
+        self.numbers.shrink_to(kept);
+        self.values.shrink_to(kept * self.ranges.len());
     }
 }
 
@@ -164,4 +181,44 @@ fn checked(value: f64, range: f64, counts: &mut Counts) -> f64 {
         return f64::NAN;
     }
     value
+}
+
+#[cfg(test)]
+mod tests {
+    use spandrel_bus::{Header, Pace};
+
+    use super::*;
+
+    fn block(sequence: u64, time_ns: i64, count: usize) -> SampleBlock {
+        SampleBlock {
+            header: Header { source: "roof".into(), epoch: 1, sequence, time_ns },
+            sampling_rate_hz: 100.0,
+            pace: Pace::Live,
+            channels: 2,
+            samples: vec![0.5; 2 * count],
+            state: StreamState::Running,
+        }
+    }
+
+    fn room(queue: &NodeQueue) -> usize {
+        queue.values.capacity() * 8 + queue.times_ns.capacity() * 8 + queue.numbers.capacity() * 16
+    }
+
+    #[test]
+    fn what_a_node_that_was_ahead_has_taken_is_given_back() {
+        let (mut queue, mut counts) = (NodeQueue::new(vec![1.0; 2]), Counts::default());
+        queue.push(&block(0, 0, 100_000), &mut counts);
+        let most = room(&queue);
+        let mut frame = [0.0; 2];
+        for _ in 0..99_900 {
+            queue.pop_into(&mut frame);
+        }
+        assert_eq!((queue.first_ns(), frame), (Some(999_000_000_000), [0.5; 2]));
+        assert!(room(&queue) <= 4 * ROOM_KEPT * 40, "{} of {most} bytes", room(&queue));
+        // a clock that goes back takes what was ahead with it
+        queue.push(&block(100_000, 1_000_000_000_000, 100_000), &mut counts);
+        queue.push(&block(200_000, 999_000_000_000, 1), &mut counts);
+        assert!(room(&queue) <= 4 * ROOM_KEPT * 40, "{} of {most} bytes", room(&queue));
+        assert_eq!(queue.first_ns(), queue.last_waiting_ns());
+    }
 }

@@ -6,8 +6,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, Bus, Delivery, DisplayPublisher, FrameBlock, Keys, LiveToken, LiveWatch, Name, NumberedPublisher,
-    NumberedStream, Older, Pace, ProgressPublisher, SampleBlock, Service, Start, Status, Stream, StreamState,
+    Block, BoxedFuture, Bus, Delivery, DisplayPublisher, FrameBlock, Keys, LiveToken, LiveWatch, Name,
+    NumberedPublisher, NumberedStream, Older, Pace, ProgressPublisher, SampleBlock, Service, Start, Status, Stream,
+    StreamState,
 };
 use spandrel_structure::Structure;
 use tokio::task::JoinSet;
@@ -124,152 +125,162 @@ impl IngestService {
     ///
     /// # Errors
     /// The recording cannot be opened, or the bus refuses a declaration.
-    pub async fn start_with(
+    pub fn start_with<'a>(
         layout: Layout,
         channels: Vec<String>,
-        bus: &Bus,
+        bus: &'a Bus,
         keys: Keys,
         settings: IngestSettings,
-    ) -> Result<Self, IngestError> {
-        let IngestSettings { id, epoch, waiting, recording } = settings;
-        let (recorder, past) = match &recording {
-            Some(recording) => {
-                let structure = keys.structure().as_str();
-                let opened = tokio::task::block_in_place(|| Recorder::open(structure, &layout, channels, recording))?;
-                (Some(opened.0), opened.1)
+    ) -> BoxedFuture<'a, Result<Self, IngestError>> {
+        Box::pin(async move {
+            let IngestSettings { id, epoch, waiting, recording } = settings;
+            let (recorder, past) = match &recording {
+                Some(recording) => {
+                    let structure = keys.structure().as_str();
+                    let opened =
+                        tokio::task::block_in_place(|| Recorder::open(structure, &layout, channels, recording))?;
+                    (Some(opened.0), opened.1)
+                }
+                None => (None, None),
+            };
+            // Were frames heard of that are not recorded, their numbers must not come again with other samples.
+            let epoch = past.as_ref().map_or(epoch, |past| epoch.max(past.last.header.epoch + 1));
+            let past = past.filter(|past| past.is_whole);
+            let mut stream = NumberedStream {
+                key: keys.frames(),
+                buffer_key: keys.recording(),
+                source: id.to_string(),
+                epoch,
+                first: 0,
+                state: StreamState::Running,
+                capacity: if recorder.is_some() { FRAMES_IN_MEMORY } else { FRAMES_KEPT },
+                forget: None,
+            };
+            let mut core = Alignment::new(layout.clone(), id.to_string(), epoch);
+            let mut places: Vec<NodePlace> = Vec::new();
+            let progress = bus.publish_progress(keys.progress(Service::Ingest), id.to_string()).await?;
+            let (mut done, mut last_time_ns) = (0, None);
+            if let Some(Past { last, nodes, .. }) = past {
+                info!(structure = keys.structure().as_str(), frame = last.end(), "goes on where its recording ended");
+                (stream.epoch, stream.first, stream.state) = (last.header.epoch, last.end(), last.state);
+                core = core.going_on(&last, &nodes);
+                places = nodes;
+                done = last.end();
+                last_time_ns = last.grid().zip(done.checked_sub(1)).map(|(grid, number)| grid.time_ns(number));
+                // Sources may wait for what this service did last before it was killed, and could not say.
+                progress.set(stream.epoch, done, last_time_ns.unwrap_or(i64::MIN));
             }
-            None => (None, None),
-        };
-        // Were frames heard of that are not recorded, their numbers must not come again with other samples.
-        let epoch = past.as_ref().map_or(epoch, |past| epoch.max(past.last.header.epoch + 1));
-        let past = past.filter(|past| past.is_whole);
-        let mut stream = NumberedStream {
-            key: keys.frames(),
-            buffer_key: keys.recording(),
-            source: id.to_string(),
-            epoch,
-            first: 0,
-            state: StreamState::Running,
-            capacity: if recorder.is_some() { FRAMES_IN_MEMORY } else { FRAMES_KEPT },
-            forget: None,
-        };
-        let mut core = Alignment::new(layout.clone(), id.to_string(), epoch);
-        let mut places: Vec<NodePlace> = Vec::new();
-        let progress = bus.publish_progress(keys.progress(Service::Ingest), id.to_string()).await?;
-        let (mut done, mut last_time_ns) = (0, None);
-        if let Some(Past { last, nodes, .. }) = past {
-            info!(structure = keys.structure().as_str(), frame = last.end(), "goes on where its recording ended");
-            (stream.epoch, stream.first, stream.state) = (last.header.epoch, last.end(), last.state);
-            core = core.going_on(&last, &nodes);
-            places = nodes;
-            done = last.end();
-            last_time_ns = last.grid().zip(done.checked_sub(1)).map(|(grid, number)| grid.time_ns(number));
-            // Sources may wait for what this service did last before it was killed, and could not say.
-            progress.set(stream.epoch, done, last_time_ns.unwrap_or(i64::MIN));
-        }
-        let older =
-            recorder.as_ref().map(|recorder| Older { archive: Arc::new(recorder.archive()), recent: FRAMES_KEPT });
-        let frames = bus.publish_archived(stream, older).await?;
-        let mut nodes = Vec::new();
-        for (position, node) in layout.nodes().iter().enumerate() {
-            let start = match places.get(position) {
-                Some(place) => Start::At { epoch: place.epoch, sequence: place.sequence },
-                None => Start::Beginning,
+            let older =
+                recorder.as_ref().map(|recorder| Older { archive: Arc::new(recorder.archive()), recent: FRAMES_KEPT });
+            let frames = bus.publish_archived(stream, older).await?;
+            let mut nodes = Vec::new();
+            for (position, node) in layout.nodes().iter().enumerate() {
+                let start = match places.get(position) {
+                    Some(place) => Start::At { epoch: place.epoch, sequence: place.sequence },
+                    None => Start::Beginning,
+                };
+                let settings = bus.reading(start);
+                let source = node.name.to_string();
+                let is_of_node = move |block: &SampleBlock| match block.header.source == source {
+                    true => Ok(()),
+                    false => Err("foreign-blocks"),
+                };
+                nodes.push(
+                    bus.follow_fit(keys.samples(&node.name), keys.buffer(&node.name), settings, is_of_node).await?,
+                );
+            }
+            let service = Self {
+                core,
+                lateness: match waiting {
+                    Waiting::Unlimited => None,
+                    Waiting::Limited(allowed) => Some(Lateness::new(allowed, nodes.len())),
+                },
+                started: Instant::now(),
+                last_heard: vec![Duration::ZERO; nodes.len()],
+                signs: vec![Sign::Present; nodes.len()],
+                patient_until: Duration::ZERO,
+                all_gone: false,
+                ended: (0..nodes.len()).map(|node| places.get(node).is_some_and(|place| place.ended)).collect(),
+                tokens: bus.watch_live(keys.all_live(Service::Sensor)).await?,
+                frames,
+                progress,
+                status: bus.publish_display(keys.status(Service::Ingest, &id)).await?,
+                service: Name::new(Service::Ingest.as_str())?,
+                pace: Pace::Live,
+                pace_heard: None,
+                done,
+                last_time_ns,
+                blocks_waiting: bus.reading(Start::Beginning).deliveries,
+                recorder,
+                // Last, because sources start when they see it: the readers above are there by then.
+                token: bus.announce(keys.live(Service::Ingest, &id)).await?,
+                layout,
+                nodes,
+                keys,
+                id,
             };
-            let settings = bus.reading(start);
-            let source = node.name.to_string();
-            let is_of_node = move |block: &SampleBlock| match block.header.source == source {
-                true => Ok(()),
-                false => Err("foreign-blocks"),
-            };
-            nodes.push(bus.follow_fit(keys.samples(&node.name), keys.buffer(&node.name), settings, is_of_node).await?);
-        }
-        let service = Self {
-            core,
-            lateness: match waiting {
-                Waiting::Unlimited => None,
-                Waiting::Limited(allowed) => Some(Lateness::new(allowed, nodes.len())),
-            },
-            started: Instant::now(),
-            last_heard: vec![Duration::ZERO; nodes.len()],
-            signs: vec![Sign::Present; nodes.len()],
-            patient_until: Duration::ZERO,
-            all_gone: false,
-            ended: (0..nodes.len()).map(|node| places.get(node).is_some_and(|place| place.ended)).collect(),
-            tokens: bus.watch_live(keys.all_live(Service::Sensor)).await?,
-            frames,
-            progress,
-            status: bus.publish_display(keys.status(Service::Ingest, &id)).await?,
-            service: Name::new(Service::Ingest.as_str())?,
-            pace: Pace::Live,
-            pace_heard: None,
-            done,
-            last_time_ns,
-            blocks_waiting: bus.reading(Start::Beginning).deliveries,
-            recorder,
-            // Last, because sources start when they see it: the readers above are there by then.
-            token: bus.announce(keys.live(Service::Ingest, &id)).await?,
-            layout,
-            nodes,
-            keys,
-            id,
-        };
-        info!(
-            structure = service.keys.structure().as_str(),
-            nodes = service.nodes.len(),
-            channels = service.layout.channel_count(),
-            sampling_rate_hz = service.layout.sampling_rate_hz(),
-            "ingest ready"
-        );
-        Ok(service)
+            info!(
+                structure = service.keys.structure().as_str(),
+                nodes = service.nodes.len(),
+                channels = service.layout.channel_count(),
+                sampling_rate_hz = service.layout.sampling_rate_hz(),
+                "ingest ready"
+            );
+            Ok(service)
+        })
     }
 
     /// Runs until `stop`; samples that have arrived are still aligned.
     ///
     /// # Errors
     /// The bus is closed underneath.
-    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), IngestError> {
-        tokio::pin!(stop);
-        let (arrivals, arrived) = flume::bounded(self.blocks_waiting);
-        let mut forwarding = JoinSet::new();
-        for (node, stream) in self.nodes.iter().enumerate() {
-            forwarding.spawn(forward(node, stream.deliveries().clone(), arrivals.clone()));
-        }
-        let mut status = interval(STATUS_EVERY);
-        status.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut deadline = interval(DEADLINE_EVERY);
-        deadline.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut known_tokens = BTreeSet::new();
-        loop {
-            // Not biased: at full speed samples never stop, and status and stop must still get their turn.
-            tokio::select! {
-                arrival = arrived.recv_async() => match arrival {
-                    Ok((node, delivery)) => self.take(node, delivery).await?,
-                    Err(flume::RecvError::Disconnected) => break,
-                },
-                tokens = self.tokens.changed() => {
-                    self.compare_tokens(&known_tokens, &tokens);
-                    known_tokens = tokens;
-                }
-                _ = deadline.tick() => {
-                    self.look_at_the_clock().await?;
-                    if let Some(recorder) = &mut self.recorder {
-                        recorder.tend().await;
-                    }
-                }
-                _ = status.tick() => self.put_status().await?,
-                () = &mut stop => break,
+    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), IngestError>> {
+        self.run_until(Box::pin(stop))
+    }
+
+    fn run_until(mut self, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), IngestError>> {
+        Box::pin(async move {
+            let (arrivals, arrived) = flume::bounded(self.blocks_waiting);
+            let mut forwarding = JoinSet::new();
+            for (node, stream) in self.nodes.iter().enumerate() {
+                forwarding.spawn(forward(node, stream.deliveries().clone(), arrivals.clone()));
             }
-        }
-        while let Ok((node, delivery)) = arrived.try_recv() {
-            self.take(node, delivery).await?;
-        }
-        info!(structure = self.keys.structure().as_str(), frames = self.core.counts().frames, "ingest stopped");
-        self.token.withdraw().await?;
-        match self.recorder {
-            Some(recorder) => recorder.close().await,
-            None => Ok(()),
-        }
+            let mut status = interval(STATUS_EVERY);
+            status.set_missed_tick_behavior(MissedTickBehavior::Delay);
+            let mut deadline = interval(DEADLINE_EVERY);
+            deadline.set_missed_tick_behavior(MissedTickBehavior::Delay);
+            let mut known_tokens = BTreeSet::new();
+            loop {
+                // Not biased: at full speed samples never stop, and status and stop must still get their turn.
+                tokio::select! {
+                    arrival = arrived.recv_async() => match arrival {
+                        Ok((node, delivery)) => self.take(node, delivery).await?,
+                        Err(flume::RecvError::Disconnected) => break,
+                    },
+                    tokens = self.tokens.changed() => {
+                        self.compare_tokens(&known_tokens, &tokens);
+                        known_tokens = tokens;
+                    }
+                    _ = deadline.tick() => {
+                        self.look_at_the_clock().await?;
+                        if let Some(recorder) = &mut self.recorder {
+                            recorder.tend().await;
+                        }
+                    }
+                    _ = status.tick() => self.put_status().await?,
+                    () = &mut stop => break,
+                }
+            }
+            while let Ok((node, delivery)) = arrived.try_recv() {
+                self.take(node, delivery).await?;
+            }
+            info!(structure = self.keys.structure().as_str(), frames = self.core.counts().frames, "ingest stopped");
+            self.token.withdraw().await?;
+            match self.recorder {
+                Some(recorder) => recorder.close().await,
+                None => Ok(()),
+            }
+        })
     }
 
     async fn take(&mut self, node: usize, delivery: Delivery<SampleBlock>) -> Result<(), IngestError> {

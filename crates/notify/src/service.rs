@@ -6,8 +6,8 @@ use crate::outbox::{GIVE_UP_AFTER, Outbox, Remembered, Wish};
 use crate::send::{Receiver, receivers};
 use crate::settings::NotifySettings;
 use spandrel_bus::{
-    AlertMessage, Bus, BusError, DisplayPublisher, HistoryLog, Keys, LiveToken, LiveWatch, Name, Service, Status,
-    Subscription,
+    AlertMessage, BoxedFuture, Bus, BusError, DisplayPublisher, HistoryLog, Keys, LiveToken, LiveWatch, Name, Service,
+    Status, Subscription,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
@@ -83,46 +83,48 @@ impl NotifyService {
     ///
     /// # Errors
     /// When a setting cannot be used, a folder cannot be written, or the bus refuses a declaration.
-    pub async fn start(
-        structures: &[(Keys, Option<PathBuf>)],
-        bus: &Bus,
-        settings: &NotifySettings,
+    pub fn start<'a>(
+        structures: &'a [(Keys, Option<PathBuf>)],
+        bus: &'a Bus,
+        settings: &'a NotifySettings,
         id: Name,
-    ) -> Result<Self, NotifyError> {
-        settings.check()?;
-        let receivers: Vec<Arc<Receiver>> = receivers(settings)?.into_iter().map(Arc::new).collect();
-        let mut service = Self {
-            outbox: Outbox::new(wishes(&receivers)),
-            sources: Vec::new(),
-            receivers,
-            bus: bus.clone(),
-            asked: JoinSet::new(),
-            clock: Clock::new(),
-            service: Name::new(Service::Notify.as_str())?,
-            id,
-        };
-        for (keys, folder) in structures {
-            let memory = folder.as_ref().map(|folder| Memory::open(folder, keys.structure())).transpose()?;
-            let (memory, recalled) = memory.map_or((None, None), |(memory, recalled)| (Some(memory), recalled));
-            let has_heard = recalled.is_some();
-            if let Some((remembered, away)) = recalled {
-                service.recall(keys.structure(), remembered, away);
+    ) -> BoxedFuture<'a, Result<Self, NotifyError>> {
+        Box::pin(async move {
+            settings.check()?;
+            let receivers: Vec<Arc<Receiver>> = receivers(settings)?.into_iter().map(Arc::new).collect();
+            let mut service = Self {
+                outbox: Outbox::new(wishes(&receivers)),
+                sources: Vec::new(),
+                receivers,
+                bus: bus.clone(),
+                asked: JoinSet::new(),
+                clock: Clock::new(),
+                service: Name::new(Service::Notify.as_str())?,
+                id,
+            };
+            for (keys, folder) in structures {
+                let memory = folder.as_ref().map(|folder| Memory::open(folder, keys.structure())).transpose()?;
+                let (memory, recalled) = memory.map_or((None, None), |(memory, recalled)| (Some(memory), recalled));
+                let has_heard = recalled.is_some();
+                if let Some((remembered, away)) = recalled {
+                    service.recall(keys.structure(), remembered, away);
+                }
+                service.sources.push(Source {
+                    alerts: bus.subscribe(keys.all_alerts(), ALERTS_WAITING).await?,
+                    alert_services: bus.watch_live(keys.all_live(Service::Alert)).await?,
+                    present: BTreeSet::new(),
+                    status: bus.publish_display(keys.status(Service::Notify, &service.id)).await?,
+                    token: bus.announce(keys.live(Service::Notify, &service.id)).await?,
+                    keys: keys.clone(),
+                    taken: 0,
+                    memory,
+                    has_heard,
+                });
             }
-            service.sources.push(Source {
-                alerts: bus.subscribe(keys.all_alerts(), ALERTS_WAITING).await?,
-                alert_services: bus.watch_live(keys.all_live(Service::Alert)).await?,
-                present: BTreeSet::new(),
-                status: bus.publish_display(keys.status(Service::Notify, &service.id)).await?,
-                token: bus.announce(keys.live(Service::Notify, &service.id)).await?,
-                keys: keys.clone(),
-                taken: 0,
-                memory,
-                has_heard,
-            });
-        }
-        let shown: Vec<String> = service.receivers.iter().map(|receiver| receiver.shown()).collect();
-        info!(receivers = shown.join("; "), structures = structures.len(), "notices ready");
-        Ok(service)
+            let shown: Vec<String> = service.receivers.iter().map(|receiver| receiver.shown()).collect();
+            info!(receivers = shown.join("; "), structures = structures.len(), "notices ready");
+            Ok(service)
+        })
     }
 
     fn recall(&mut self, structure: &Name, remembered: Remembered, away: Duration) {
@@ -137,26 +139,35 @@ impl NotifyService {
     ///
     /// # Errors
     /// When the bus is closed underneath.
-    pub async fn run(mut self, stop: impl Future<Output = ()>) -> Result<(), NotifyError> {
-        let mut sending = JoinSet::new();
-        let told = tokio::select! {
-            told = self.tell(&mut sending) => told,
-            () = stop => Ok(()),
-        };
-        let all = async {
-            while let Some(ended) = sending.join_next().await {
-                self.ended(ended);
+    pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), NotifyError>> {
+        self.run_until(Box::pin(stop))
+    }
+
+    fn run_until(mut self, stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), NotifyError>> {
+        Box::pin(async move {
+            let mut sending = JoinSet::new();
+            let told = tokio::select! {
+                told = self.tell(&mut sending) => told,
+                () = stop => Ok(()),
+            };
+            let all = async {
+                while let Some(ended) = sending.join_next().await {
+                    self.ended(ended);
+                }
+            };
+            let is_late = tokio::time::timeout(END_WITHIN, all).await.is_err();
+            self.keep();
+            if is_late || self.outbox.waiting() > 0 {
+                warn!(
+                    waiting = self.outbox.waiting(),
+                    "not all notices have been sent; what is remembered is sent later"
+                );
             }
-        };
-        let is_late = tokio::time::timeout(END_WITHIN, all).await.is_err();
-        self.keep();
-        if is_late || self.outbox.waiting() > 0 {
-            warn!(waiting = self.outbox.waiting(), "not all notices have been sent; what is remembered is sent later");
-        }
-        for source in self.sources {
-            source.token.withdraw().await?;
-        }
-        told
+            for source in self.sources {
+                source.token.withdraw().await?;
+            }
+            told
+        })
     }
 
     async fn tell(&mut self, sending: &mut JoinSet<(usize, Result<(), String>)>) -> Result<(), NotifyError> {

@@ -68,8 +68,9 @@ pub use syncer::LogSyncer;
 
 use crate::RecordError;
 
-/// Chunks after which a segment ends: the writer of MCAP holds the index of all of them, about 300 bytes each.
-const MOST_CHUNKS: u32 = 1 << 16;
+/// Chunks after which a segment ends: the writer of MCAP holds the index of all of them, about 300 bytes each, and live samples in blocks
+/// of 50 ms are twenty chunks a second.
+const MOST_CHUNKS: u32 = 1 << 12;
 /// Name of the file that is locked while the log is open.
 const LOCK: &str = "lock";
 const NANOSECONDS: u64 = 1_000_000_000;
@@ -88,7 +89,7 @@ pub struct LogSettings {
 }
 
 impl Default for LogSettings {
-    /// Segments of 64 MiB or an hour; 10 GiB or 30 days of them.
+    /// Segments of 64 MiB or an hour (or of 4096 appends, whatever the settings say); 10 GiB or 30 days of them.
     fn default() -> Self {
         Self { segment_bytes: 64 << 20, segment_s: 3600, keep_bytes: 10 << 30, keep_s: 30 * 86_400 }
     }

@@ -4,7 +4,7 @@ use std::future::Future;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use spandrel_bus::{
-    Block, Bus, CaughtUp, FrameBlock, Keys, LiveToken, NumberedPublisher, NumberedStream, Pace, Progress,
+    Block, BoxedFuture, Bus, CaughtUp, FrameBlock, Keys, LiveToken, NumberedPublisher, NumberedStream, Pace, Progress,
     ProgressWatch, SampleBlock, Service, StreamState, TimeGrid,
 };
 use tokio::task::JoinSet;
@@ -83,105 +83,111 @@ impl SensorService {
     ///
     /// # Errors
     /// The bus refuses a declaration.
-    pub async fn start(
+    pub fn start<'a>(
         nodes: Vec<NodePlan>,
         rate_hz: f64,
-        bus: &Bus,
+        bus: &'a Bus,
         keys: Keys,
         settings: SensorSettings,
-    ) -> Result<Self, SensorError> {
-        let mut publishers = Vec::new();
-        for node in &nodes {
-            let stream = NumberedStream {
-                key: keys.samples(&node.name),
-                buffer_key: keys.buffer(&node.name),
-                source: node.name.to_string(),
-                epoch: settings.epoch,
-                first: 0,
-                state: StreamState::Running,
-                capacity: SAMPLES_KEPT,
-                forget: None,
+    ) -> BoxedFuture<'a, Result<Self, SensorError>> {
+        Box::pin(async move {
+            let mut publishers = Vec::new();
+            for node in &nodes {
+                let stream = NumberedStream {
+                    key: keys.samples(&node.name),
+                    buffer_key: keys.buffer(&node.name),
+                    source: node.name.to_string(),
+                    epoch: settings.epoch,
+                    first: 0,
+                    state: StreamState::Running,
+                    capacity: SAMPLES_KEPT,
+                    forget: None,
+                };
+                publishers.push(bus.publish_numbered(stream).await?);
+            }
+            let mut progress = Vec::new();
+            for service in &settings.wait_for {
+                progress.push((*service, bus.watch_progress(keys.progress(*service)).await?));
+            }
+            let mut tokens = Vec::new();
+            for node in &nodes {
+                tokens.push(bus.announce(keys.live(Service::Sensor, &node.name)).await?);
+            }
+            let block_samples = match settings.speed {
+                Speed::Factor(factor) => ((BLOCK_S * rate_hz * factor) as u64).clamp(1, LARGE_BLOCK),
+                Speed::Live => ((BLOCK_S * rate_hz) as u64).clamp(1, LARGE_BLOCK),
+                Speed::Max => LARGE_BLOCK,
             };
-            publishers.push(bus.publish_numbered(stream).await?);
-        }
-        let mut progress = Vec::new();
-        for service in &settings.wait_for {
-            progress.push((*service, bus.watch_progress(keys.progress(*service)).await?));
-        }
-        let mut tokens = Vec::new();
-        for node in &nodes {
-            tokens.push(bus.announce(keys.live(Service::Sensor, &node.name)).await?);
-        }
-        let block_samples = match settings.speed {
-            Speed::Factor(factor) => ((BLOCK_S * rate_hz * factor) as u64).clamp(1, LARGE_BLOCK),
-            Speed::Live => ((BLOCK_S * rate_hz) as u64).clamp(1, LARGE_BLOCK),
-            Speed::Max => LARGE_BLOCK,
-        };
-        let pace = if settings.speed == Speed::Live { Pace::Live } else { Pace::Replayed };
-        let cutter = Cutter::new(nodes, settings.epoch, block_samples).with_pace(pace);
-        Ok(Self { bus: bus.clone(), keys, cutter, rate_hz, settings, publishers, tokens, progress })
+            let pace = if settings.speed == Speed::Live { Pace::Live } else { Pace::Replayed };
+            let cutter = Cutter::new(nodes, settings.epoch, block_samples).with_pace(pace);
+            Ok(Self { bus: bus.clone(), keys, cutter, rate_hz, settings, publishers, tokens, progress })
+        })
     }
 
     /// Runs until the rows end or `stop`, and until the services waited for have done what was put.
     ///
     /// # Errors
     /// The record cannot be read to its end, or the bus is closed underneath.
-    pub async fn run<E>(
-        mut self,
+    pub fn run<'a, E>(
+        self,
         rows: impl Iterator<Item = Result<Row, E>> + Send + 'static,
-        stop: impl Future<Output = ()>,
-    ) -> Result<(), SensorError>
+        stop: impl Future<Output = ()> + Send + 'a,
+    ) -> BoxedFuture<'a, Result<(), SensorError>>
     where
         SensorError: From<E>,
-        E: Send + 'static,
     {
-        tokio::pin!(stop);
-        tokio::select! {
-            ready = self.wait_for_services() => ready?,
-            () = &mut stop => return self.withdraw().await,
-        }
-        let min_epoch = match self.settings.resume {
-            false => self.min_epoch().await,
-            true => match self.last_frame().await {
-                Some((_, at)) if at.state == StreamState::Ended => {
-                    info!(structure = self.keys.structure().as_str(), "nothing to resume: the frames have ended");
-                    return self.withdraw().await;
-                }
-                Some((last, at)) => {
-                    self.resume_after(&last);
-                    at.header.epoch
-                }
-                None => self.min_epoch().await,
-            },
-        };
-        let mut put = Put { first_ns: 0, rows: RowsPut::default(), last_sample_ns: i64::MIN, next: Vec::new() };
-        put.next.resize_with(self.publishers.len(), || None);
-        let nodes = self.cutter.nodes().to_vec();
-        let cutter = std::mem::replace(&mut self.cutter, Cutter::new(nodes, self.settings.epoch, 1));
-        let (out, batches) = flume::bounded(BATCHES_WAITING);
-        let mut cutting = JoinSet::new();
-        // A thread of its own: a simulation computes, and a record waits for the disk.
-        cutting.spawn_blocking(move || cut_all(cutter, rows, &out));
-        let put_all = self.put_all(min_epoch, &batches, &mut put);
-        let patience = tokio::select! {
-            finished = put_all => {
-                finished?;
-                PATIENCE
+        self.run_until(Box::new(rows.map(|row| row.map_err(SensorError::from))), Box::pin(stop))
+    }
+
+    fn run_until(mut self, rows: Rows, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), SensorError>> {
+        Box::pin(async move {
+            tokio::select! {
+                ready = self.wait_for_services() => ready?,
+                () = &mut stop => return self.withdraw().await,
             }
-            () = &mut stop => {
-                self.end_now(&put).await?;
-                PATIENCE_AFTER_STOP
+            let min_epoch = match self.settings.resume {
+                false => self.min_epoch().await,
+                true => match self.last_frame().await {
+                    Some((_, at)) if at.state == StreamState::Ended => {
+                        info!(structure = self.keys.structure().as_str(), "nothing to resume: the frames have ended");
+                        return self.withdraw().await;
+                    }
+                    Some((last, at)) => {
+                        self.resume_after(&last);
+                        at.header.epoch
+                    }
+                    None => self.min_epoch().await,
+                },
+            };
+            let mut put = Put { first_ns: 0, rows: RowsPut::default(), last_sample_ns: i64::MIN, next: Vec::new() };
+            put.next.resize_with(self.publishers.len(), || None);
+            let nodes = self.cutter.nodes().to_vec();
+            let cutter = std::mem::replace(&mut self.cutter, Cutter::new(nodes, self.settings.epoch, 1));
+            let (out, batches) = flume::bounded(BATCHES_WAITING);
+            let mut cutting = JoinSet::new();
+            // A thread of its own: a simulation computes, and a record waits for the disk.
+            cutting.spawn_blocking(move || cut_all(cutter, rows, &out));
+            let put_all = self.put_all(min_epoch, &batches, &mut put);
+            let patience = tokio::select! {
+                finished = put_all => {
+                    finished?;
+                    PATIENCE
+                }
+                () = &mut stop => {
+                    self.end_now(&put).await?;
+                    PATIENCE_AFTER_STOP
+                }
+            };
+            drop(batches); // ends the cutting, if it has not ended
+            self.wait_until_done(&self.window(min_epoch, 0), put.last_sample_ns, patience).await;
+            let cut = cutting.join_next().await;
+            self.withdraw().await?;
+            match cut {
+                Some(Ok(Err(error))) => Err(error),
+                // Cutting does not panic; if it did, the panic has been reported where it happened.
+                Some(Ok(Ok(())) | Err(_)) | None => Ok(()),
             }
-        };
-        drop(batches); // ends the cutting, if it has not ended
-        self.wait_until_done(&self.window(min_epoch, 0), put.last_sample_ns, patience).await;
-        let cut = cutting.join_next().await;
-        self.withdraw().await?;
-        match cut {
-            Some(Ok(Err(error))) => Err(error.into()),
-            // Cutting does not panic; if it did, the panic has been reported where it happened.
-            Some(Ok(Ok(())) | Err(_)) | None => Ok(()),
-        }
+        })
     }
 
     async fn wait_for_services(&self) -> Result<(), SensorError> {
@@ -336,12 +342,11 @@ fn instant_of(time_ns: i64) -> Instant {
     instant.unwrap_or(now)
 }
 
+/// Rows of a record, or why it cannot be read on.
+type Rows = Box<dyn Iterator<Item = Result<Row, SensorError>> + Send>;
+
 /// Cuts all rows, and sends a batch whenever blocks are complete; ends early when nobody receives.
-fn cut_all<E>(
-    mut cutter: Cutter,
-    rows: impl Iterator<Item = Result<Row, E>>,
-    out: &flume::Sender<Batch>,
-) -> Result<(), E> {
+fn cut_all(mut cutter: Cutter, rows: Rows, out: &flume::Sender<Batch>) -> Result<(), SensorError> {
     let (mut time_ns, mut rows_cut) = (0, 0);
     let mut failure = None;
     for row in rows {
