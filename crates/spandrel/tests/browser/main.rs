@@ -180,16 +180,8 @@ async fn a_record_without_dates_is_plotted_by_its_own_time() {
     let (structure, record) = (folder.path().join("demo.toml"), folder.path().join("demo.csv"));
     std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml"), &structure).unwrap();
     let (structure, record) = (structure.to_str().unwrap(), record.to_str().unwrap());
-    let tool = |arguments: &[&str]| {
-        let ended = Command::new(env!("CARGO_BIN_EXE_spandrel")).args(arguments).output().unwrap();
-        assert!(ended.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&ended.stderr));
-    };
     tool(&["simulate", structure, "--record", record, "--duration", "120"]);
-    let configuration = folder.path().join("spandrel.toml");
-    std::fs::write(&configuration, "[history]\ndatabase = \"none\"\n[state]\nfolder = \"none\"\n").unwrap();
-    let (configuration, endpoint) = (configuration.to_str().unwrap(), format!("tcp/{}", free_address()));
-    let run = ["run", structure, "--config", configuration, "--http", "127.0.0.1:0", "--listen", &endpoint];
-    let run = Program::start(&run);
+    let (run, endpoint) = run_in(folder.path(), structure);
     tool(&["replay", record, "--structure", structure, "--speed", "max", "--connect", &endpoint]);
 
     browser.resize(1280, 900).await;
@@ -207,6 +199,60 @@ async fn a_record_without_dates_is_plotted_by_its_own_time() {
     let words = "(async () => { const { recordTime } = await import('/words.js'); return [0, 59.9996, 90, 3725.25].map((time) => recordTime(time, time % 1 ? 2 : 0)); })()";
     assert_eq!(browser.evaluate(words).await, json!(["0:00:00", "0:01:00.00", "0:01:30", "1:02:05.25"]));
     assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
+}
+
+/// What is plotted only where the structure file asks for it.
+#[tokio::test(flavor = "multi_thread")]
+async fn model_classes_and_rejected_samples_are_plotted() {
+    let Some(mut browser) = browser().await else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (structure, record) = (folder.path().join("demo.toml"), folder.path().join("demo.csv"));
+    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
+    let text = std::fs::read_to_string(demo).unwrap().replace("seed = 1\n", "seed = 1\nspike-share = 0.01\n");
+    let tables = "[outliers]\n[classes]\nkind = \"predefined\"\n\
+                  [[classes.class]]\nname = \"lower-two\"\ngroups = [[\"storey-1\"], [\"storey-2\"]]\n\
+                  [[classes.class]]\nname = \"upper-two\"\ngroups = [[\"storey-4\"], [\"storey-5\"]]\n[[alert]]";
+    assert!(text.contains("spike-share") && text.contains("[[alert]]"), "the example has changed");
+    std::fs::write(&structure, text.replacen("[[alert]]", tables, 1)).unwrap();
+    let (structure, record) = (structure.to_str().unwrap(), record.to_str().unwrap());
+    tool(&["simulate", structure, "--record", record, "--duration", "120"]);
+    let (run, endpoint) = run_in(folder.path(), structure);
+    tool(&["replay", record, "--structure", structure, "--speed", "max", "--connect", &endpoint]);
+
+    browser.resize(1280, 900).await;
+    browser.open(&format!("{}#/structure/demo", run.page)).await;
+    // plots are filled when they are on the screen
+    let shown = |group: &str| {
+        format!(
+            "!document.querySelector('#group-{group}').hidden && (document.querySelector('#group-{group}').scrollIntoView(), true)"
+        )
+    };
+    browser.wait("classes", &shown("classes")).await;
+    // storey 2 is damaged alone: what takes the three lower ones as one explains it worse
+    let readout = "document.querySelector('#plot-classes .readout').textContent";
+    browser.wait("the plausibilities", &format!("/lower-two (9\\d|100) % · upper-two .*\\d %$/.test({readout})")).await;
+    browser.screenshot("classes").await;
+    browser.wait("outliers", &shown("outliers")).await;
+    let rejected = "document.querySelector('#group-outliers .readout').textContent";
+    let shape = r"/^.* · [\d.]+ % of the late samples · \d+ rejected here$/";
+    browser.wait("what was rejected", &format!("{shape}.test({rejected})")).await;
+    browser.screenshot("outliers").await;
+    assert_eq!(browser.complaints(), Vec::<String>::new(), "the page complained");
+}
+
+/// Runs a subcommand to its end.
+fn tool(arguments: &[&str]) {
+    let ended = Command::new(env!("CARGO_BIN_EXE_spandrel")).args(arguments).output().unwrap();
+    assert!(ended.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&ended.stderr));
+}
+
+/// Runs the services of a structure and their page, with nothing kept; where to connect to.
+fn run_in(folder: &Path, structure: &str) -> (Program, String) {
+    let configuration = folder.join("spandrel.toml");
+    std::fs::write(&configuration, "[history]\ndatabase = \"none\"\n[state]\nfolder = \"none\"\n").unwrap();
+    let (configuration, endpoint) = (configuration.to_str().unwrap(), format!("tcp/{}", free_address()));
+    let run = ["run", structure, "--config", configuration, "--http", "127.0.0.1:0", "--listen", &endpoint];
+    (Program::start(&run), endpoint)
 }
 
 /// The one in TypeScript, without its types.
