@@ -166,8 +166,8 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
              \"calibration\":{\"time_ns\":4,\"class\":\"soft\",\"change\":-0.05}}",
         ),
         text::<NodeDisplay>(
-            "{\"structure\":\"demo\",\"node\":\"roof\",\"time_ns\":5,\"state\":\"used\",\"distance\":1.0,\"distance_limit\":3.0,\
-             \"excluded_since_ns\":null,\"excluded_share\":0.0,\"messages\":10,\"bytes_received\":1000,\"bytes_sent\":500,\
+            "{\"structure\":\"demo\",\"node\":\"roof\",\"time_ns\":5,\"state\":\"used\",\"distance\":4.0,\"distance_limit\":3.0,\
+             \"weight\":0.5625,\"excluded_since_ns\":null,\"excluded_share\":0.0,\"messages\":10,\"bytes_received\":1000,\"bytes_sent\":500,\
              \"refused\":{\"flood\":1},\"restarts\":0}",
         ),
         text::<Status>(

@@ -32,7 +32,8 @@ export class NodeTable {
     element.dataset.node = node.node;
     setText(cells[0], node.node);
     setText(cells[1], `${state.sign} ${state.word}${since}`);
-    setText(cells[2], node.distance === null ? "–" : `${number(node.distance)}${node.distance_limit === null ? "" : ` (${number(node.distance_limit)})`}`);
+    const counts = node.weight !== null && node.weight > 0 && node.weight < 1 ? `, counts ${percent(node.weight, 0)}` : "";
+    setText(cells[2], node.distance === null ? "–" : `${number(node.distance)}${node.distance_limit === null ? "" : ` (${number(node.distance_limit)})`}${counts}`);
     setText(cells[3], `${seconds(node.excluded_since_ns)}${share}`);
     setText(cells[4], seconds(node.heard_ns));
     setText(cells[5], bytes(node.bytes_received));

@@ -25,7 +25,7 @@ pub mod samples;
 pub mod station;
 
 pub use compression::{CompressedMotion, CovarianceScheme, ModalBasis, MotionExchange, Responses, Weights};
-pub use detector::{GlobalDetector, NodeDistance};
+pub use detector::{GlobalDetector, NodeDistance, Weighting};
 pub use gaussian::{Gaussian, Information, product};
 pub use local::{Feedback, FeedbackRule, Lineage, LocalEstimate, LocalFilter, NodeSettings, Taken};
 pub use samples::{SampleExchange, unit_exponent};

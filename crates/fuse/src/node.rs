@@ -218,6 +218,7 @@ impl Node {
             },
             distance: report.distance,
             distance_limit,
+            weight: report.distance.map(|_| report.weight),
             excluded_since_ns: self.excluded_since_ns,
             silent_since_ns: self.quiet.since_ns,
             heard_ns: self.heard_ns,

@@ -185,13 +185,15 @@ impl Structure {
     pub fn numbers_per_period(&self, position: usize) -> Option<(usize, usize)> {
         let plan = self.fusion.as_ref()?;
         let parameters = self.parameters.len();
-        let density = match plan.covariance {
-            CovarianceScheme::Full => Weights::Mixed.message_numbers(0, 0, parameters),
-            CovarianceScheme::Identity | CovarianceScheme::Basis(_) => 2 * parameters,
+        let weights = match plan.covariance {
+            CovarianceScheme::Full => Weights::Mixed,
+            CovarianceScheme::Identity | CovarianceScheme::Basis(_) => Weights::Vector,
         };
+        let with_modes = |modes| weights.message_numbers(self.system.len(), modes, parameters);
+        let density = with_modes(0);
         Some(match self.motion_exchange().ok()? {
             MotionExchange::None => (density, density),
-            MotionExchange::Modes(basis) => (density + 4 * basis.modes(), density + 4 * basis.modes()),
+            MotionExchange::Modes(basis) => (with_modes(basis.modes()), with_modes(basis.modes())),
             MotionExchange::Responses(nodes) => {
                 let all: usize = nodes.iter().map(|node| 2 * node.rows().nrows()).sum();
                 (density + 2 * nodes.get(position)?.rows().nrows(), density + all)

@@ -14,6 +14,7 @@ mod ekf_bouc_wen;
 mod ekf_bridge;
 mod ekf_oscillator;
 mod ekf_tower;
+mod feedback;
 mod hierarchical;
 mod kalman_building;
 mod kalman_vehicle;
@@ -24,6 +25,7 @@ mod noise_kalman;
 mod outlier_oscillator;
 mod outlier_truss;
 mod particle;
+mod pieces;
 
 /// One published example.
 #[derive(Debug)]
@@ -52,7 +54,7 @@ const BOOK_7: &str = "Huang & Yuen (2023), chapter 7";
 
 const CHING_2006: &str = "Ching, Beck, Porter & Shaikhutdinov (2006)";
 
-static CASES: [Case; 27] = [
+static CASES: [Case; 29] = [
     Case {
         name: "kalman.vehicle",
         title: "Tracking of a vehicle with the Kalman filter",
@@ -222,11 +224,25 @@ static CASES: [Case; 27] = [
         run: asynchronous::truss,
     },
     Case {
+        name: "asynchronous.feedback",
+        title: "The same truss: what nodes send of the covariance, and what they do with the answer",
+        source: BOOK_7,
+        weight: 600.0,
+        run: feedback::truss,
+    },
+    Case {
         name: "hierarchical.building",
         title: "Forty-storey building with spikes in every channel and three biased nodes",
         source: BOOK_7,
         weight: 800.0,
         run: hierarchical::building,
+    },
+    Case {
+        name: "hierarchical.pieces",
+        title: "The same building, shortened, with a piece of the method left out",
+        source: BOOK_7,
+        weight: 100.0,
+        run: pieces::building,
     },
     Case {
         name: "particle.building",

@@ -18,8 +18,8 @@ pub(crate) struct Fused {
     pub(crate) reports: Vec<Vec<NodeReport>>,
     /// by fusion: the motion in modes, where it is sent so
     pub(crate) motion: Vec<Option<CompressedMotion>>,
-    /// times nodes started anew
-    pub(crate) restarts: u64,
+    /// by node: times it started anew
+    pub(crate) restarts: Vec<u64>,
 }
 
 /// What is identified: a structure at the rate of its nodes, and their samples.
@@ -79,7 +79,7 @@ impl Network<'_> {
             local: vec![vec![Course::default(); parameters]; nodes.len()],
             reports: Vec::new(),
             motion: Vec::new(),
-            restarts: 0,
+            restarts: Vec::new(),
         };
         let excitation = vec![0.0; structure.excitations().len()];
         let mut observations = Vec::new();
@@ -122,7 +122,7 @@ impl Network<'_> {
                 return Err(ValidateError::Stopped);
             }
         }
-        fused.restarts = nodes.iter().map(|(filter, ..)| filter.restarts()).sum();
+        fused.restarts = nodes.iter().map(|(filter, ..)| filter.restarts()).collect();
         Ok(fused)
     }
 

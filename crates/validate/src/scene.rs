@@ -234,6 +234,11 @@ impl Course {
         self.over(from_s, to_s, |point| point[2])
     }
 
+    /// Mean absolute error over a window (s).
+    pub(crate) fn error(&self, from_s: f64, to_s: f64) -> f64 {
+        self.over(from_s, to_s, |point| (point[1] - point[3]).abs())
+    }
+
     fn over(&self, from_s: f64, to_s: f64, of: impl Fn(&[f64; 4]) -> f64) -> f64 {
         let mut mean = Mean::default();
         self.points.iter().filter(|point| (from_s..to_s).contains(&point[0])).for_each(|point| mean.take(of(point)));

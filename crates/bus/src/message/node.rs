@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Format, Malformed, Message, bounded, check_count, check_finite, check_text};
+use super::{Format, Malformed, Message, bounded, check_count, check_finite, check_range, check_text};
 use crate::name::Name;
 
 /// Most reasons in one message: they come from a closed set.
@@ -39,6 +39,9 @@ pub struct NodeDisplay {
     pub distance: Option<f64>,
     /// Distance from which on a node is suspicious.
     pub distance_limit: Option<f64>,
+    /// How far what it has learnt was counted: 1 of a regular node, less of one that was discounted, 0 of one that was left out; none
+    /// where it was not judged.
+    pub weight: Option<f64>,
     /// Time since which it has been left out without a break, ns.
     pub excluded_since_ns: Option<i64>,
     /// Time of the first fusion of those without a break for which it had sent nothing that could be fused, ns.
@@ -70,6 +73,9 @@ impl Message for NodeDisplay {
             if let Some(value) = value {
                 check_finite(what, value)?;
             }
+        }
+        if let Some(weight) = self.weight {
+            check_range("weight", weight, 0.0, 1.0)?;
         }
         check_finite("excluded share", self.excluded_share)?;
         check_count("reasons", self.refused.len(), 0, MAX_REASONS)?;

@@ -283,6 +283,17 @@ mod tests {
         assert_eq!(Weights::Whole.numbers(100, 5, 5), 21_115);
         assert_eq!(Weights::Matrix.numbers(100, 5, 5), 45);
         assert_eq!(Weights::Mixed.numbers(100, 5, 5), 25);
+        // the other schemes for the structures of §4.1 and §4.2
+        for (weights, building, bridge) in [
+            (Weights::Whole, 4185, 5777),
+            (Weights::Matrix, 105, 98),
+            (Weights::Mixed, 85, 68),
+            (Weights::Vector, 40, 40),
+            (Weights::Scalar, 23, 23),
+        ] {
+            assert_eq!(weights.message_numbers(40, 5, 10), building, "{weights:?}");
+            assert_eq!(weights.message_numbers(49, 6, 8), bridge, "{weights:?}");
+        }
         // numbers of the whole record, distributed and raw
         assert_eq!(85 * 16 * 300, 408_000);
         assert_eq!(68 * 15 * 300, 306_000);
@@ -337,6 +348,24 @@ mod tests {
         }
         assert!((mean - matrix_form.mean).amax() < 1e-12);
         assert!((covariance - matrix_form.covariance).amax() < 1e-12);
+    }
+
+    /// Why no file can ask for scalar weights: a node that has learnt of one parameter would be taken for one that knows something of all.
+    #[test]
+    fn a_scalar_weight_claims_what_was_not_learnt() {
+        let before = DMatrix::from_diagonal_element(3, 3, 0.04);
+        let after = DMatrix::from_diagonal(&DVector::from_row_slice(&[0.0004, 0.04, 0.04]));
+        let learnt = |weights: Weights| {
+            let of = |covariance: &DMatrix<f64>| weights.reduce(covariance, true).try_inverse().unwrap();
+            (of(&after) - of(&before)).diagonal()
+        };
+        for weights in [Weights::Mixed, Weights::Vector, Weights::Matrix] {
+            let learnt = learnt(weights);
+            assert!((learnt[0] - 2475.0).abs() < 1e-9 && learnt[1].abs() < 1e-9, "{weights:?}: {learnt}");
+        }
+        // half as much again as was known before, of parameters that the node has not seen; and of the one it has, half a hundredth
+        let learnt = learnt(Weights::Scalar);
+        assert!((learnt[1] * 0.04 - 0.4925).abs() < 1e-4 && learnt[0] < 0.01 * 2475.0, "{learnt}");
     }
 
     #[test]

@@ -20,11 +20,39 @@ pub struct GlobalDetector {
     pub one_at_a_time: bool,
     /// Fusions in a row in which a node must be regular before it is used again; 1, as in the source, for at once.
     pub readmission: u32,
+    /// What becomes of a node that is suspicious.
+    pub weighting: Weighting,
 }
+
+/// What becomes of a node that is found to be suspicious.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Weighting {
+    /// It is left out, as in the source.
+    #[default]
+    AllOrNothing,
+    /// What it has learnt counts less, by [`NodeDistance::weight`], and its motion is told to nobody, until it has been regular in so many
+    /// fusions in a row as it takes to be used again. It is left out until then when its weight is below [`LEAST_WEIGHT`], or that has
+    /// gone on for more than [`PATIENCE`] fusions.
+    Graded,
+}
+
+/// A node that counts less than this, which is farther than about three times the limit, is left out.
+pub const LEAST_WEIGHT: f64 = 0.1;
+
+/// Fusions for which a node may go without having become regular before it is left out: one bad second costs it little, and a wrong sensor
+/// does not pull for longer.
+pub const PATIENCE: u32 = 3;
 
 impl Default for GlobalDetector {
     fn default() -> Self {
-        Self { screening: 0.95, exclusion: 0.5, one_at_a_time: false, readmission: 1 }
+        Self {
+            screening: 0.95,
+            exclusion: 0.5,
+            one_at_a_time: false,
+            readmission: 1,
+            weighting: Weighting::AllOrNothing,
+        }
     }
 }
 
@@ -33,8 +61,11 @@ impl Default for GlobalDetector {
 pub struct NodeDistance {
     /// `d`: simplified Mahalanobis distance from all others, (7.52).
     pub distance: f64,
-    /// It is left out of this fusion.
+    /// It is suspicious: left out of this fusion, unless weights are graded.
     pub excluded: bool,
+    /// `min(1, limit²/d²)`, with the distance from the regular nodes: with errors as much larger it would be a regular node. 1 of one
+    /// that is not suspicious.
+    pub weight: f64,
 }
 
 /// The fewest nodes that are kept.
@@ -69,7 +100,7 @@ impl Sums {
     /// would be far from all. What the others know together is counted as it is fused, `1/γ` of each.
     fn squared_distance(&self, node: &Gaussian, is_part: bool) -> f64 {
         let mut sum = 0.0;
-        let shared = self.sharing.factor(self.nodes - usize::from(is_part));
+        let shared = self.sharing.factor((self.nodes - usize::from(is_part)) as f64);
         for m in 0..node.mean.len() {
             let (variance, mean) = (node.covariance[(m, m)], node.mean[m]);
             let own = if is_part { 1.0 / variance } else { 0.0 };
@@ -96,13 +127,17 @@ impl GlobalDetector {
     pub fn judge(&self, nodes: &[&Gaussian], sharing: Sharing) -> Vec<NodeDistance> {
         let parameters = nodes.first().map_or(0, |node| node.mean.len());
         let Some(chi) = chi_squared(parameters).filter(|_| nodes.len() > FEWEST) else {
-            return vec![NodeDistance { distance: 0.0, excluded: false }; nodes.len()];
+            return vec![NodeDistance { distance: 0.0, excluded: false, weight: 1.0 }; nodes.len()];
         };
         let limit = chi.inverse_cdf(self.screening).sqrt();
         let all = Sums::of(parameters, sharing, nodes.iter().copied());
         let mut found: Vec<NodeDistance> = nodes
             .iter()
-            .map(|node| NodeDistance { distance: all.squared_distance(node, true).sqrt(), excluded: false })
+            .map(|node| NodeDistance {
+                distance: all.squared_distance(node, true).sqrt(),
+                excluded: false,
+                weight: 1.0,
+            })
             .collect();
         if self.one_at_a_time {
             self.delete_farthest(nodes, sharing, limit, &mut found);
@@ -122,6 +157,9 @@ impl GlobalDetector {
             if !regular {
                 let squared = kept.squared_distance(node, false);
                 found.excluded = chi.cdf(squared) >= self.exclusion; // P_o^G, (7.59)
+                if found.excluded {
+                    found.weight = weight(limit, squared.sqrt());
+                }
             }
         }
         found
@@ -138,13 +176,26 @@ impl GlobalDetector {
             for index in 0..nodes.len() {
                 found[index].distance = sums.squared_distance(nodes[index], !found[index].excluded).sqrt();
             }
+            found
+                .iter_mut()
+                .filter(|found| found.excluded)
+                .for_each(|found| found.weight = weight(limit, found.distance));
             let farthest = left.iter().copied().max_by(|a, b| found[*a].distance.total_cmp(&found[*b].distance));
             match farthest {
-                Some(index) if found[index].distance > limit => found[index].excluded = true,
+                Some(index) if found[index].distance > limit => {
+                    found[index].excluded = true;
+                    found[index].weight = weight(limit, found[index].distance);
+                }
                 Some(_) | None => return,
             }
         }
     }
+}
+
+/// `min(1, limit²/d²)`; 0 of a distance that is none.
+fn weight(limit: f64, distance: f64) -> f64 {
+    let weight = (limit / distance).powi(2);
+    if weight.is_nan() { 0.0 } else { weight.min(1.0) }
 }
 
 fn chi_squared(degrees: usize) -> Option<ChiSquared> {

@@ -4,7 +4,7 @@
 //! without the density that it started from; the published product leaves that in and counts it once for every node.
 
 use super::compression::{CompressedMotion, MotionExchange};
-use super::detector::{GlobalDetector, NodeDistance};
+use super::detector::{GlobalDetector, LEAST_WEIGHT, NodeDistance, PATIENCE, Weighting};
 use super::gaussian::{Gaussian, Information};
 use super::local::{Feedback, FeedbackRule, Lineage, LocalEstimate, base, is_within};
 use crate::error::FilterError;
@@ -46,8 +46,9 @@ pub enum Sharing {
 }
 
 impl Sharing {
-    pub(super) fn factor(self, nodes: usize) -> f64 {
-        let most = nodes.max(1) as f64;
+    /// Returns `γ` for so many nodes: the sum of their weights, where these are graded.
+    pub(super) fn factor(self, nodes: f64) -> f64 {
+        let most = nodes.max(1.0);
         match self {
             Self::All => most,
             Self::Nothing => 1.0,
@@ -120,6 +121,9 @@ pub struct NodeReport {
     pub distance: Option<f64>,
     /// It was left out.
     pub excluded: bool,
+    /// How far what it has learnt was counted: 1 of a regular node, less of one that was discounted, 0 of one that was not heard or left
+    /// out.
+    pub weight: f64,
     /// Its motion was left out: it belongs to another instant than that of most nodes.
     pub out_of_step: bool,
 }
@@ -158,8 +162,10 @@ struct Known {
     counted: VecDeque<(u64, Information)>,
     /// what has come since the last fusion
     waiting: Option<Waiting>,
-    /// fusions in which it has to be regular yet before it is used again
+    /// fusions in which it has to be regular yet before it is used again, or where weights are graded, before its motion is told
     suspended: u32,
+    /// fusions in a row in which it had to be, or was not regular
+    unsettled: u32,
 }
 
 /// A message of a node that was answered.
@@ -328,6 +334,7 @@ impl Station {
         for (index, slot) in waiting.iter_mut().enumerate() {
             if slot.as_ref().is_some_and(|waiting| at - waiting.at <= self.settings.stale_periods) {
                 nodes[index].heard = true;
+                nodes[index].weight = 1.0;
                 heard.push(index);
             } else {
                 *slot = None;
@@ -336,7 +343,7 @@ impl Station {
         self.judge(&heard, &mut nodes);
         let used: Vec<usize> = heard.iter().copied().filter(|index| !nodes[*index].excluded).collect();
         let adopted = self.adopt(&used, &waiting, at);
-        let mut parameters = self.add_learnt(&used, &waiting, at);
+        let mut parameters = self.add_learnt((&used, &nodes), &waiting, at);
         let started_anew = !is_within(&parameters.mean, &self.settings.healthy);
         if started_anew && let Ok(prior) = self.settings.prior.information() {
             (self.fused, parameters) = (prior, self.settings.prior.clone());
@@ -348,11 +355,12 @@ impl Station {
                 .is_some_and(|waiting| waiting.motion.is_some() && !self.is_same(instant, waiting.instant));
         }
         let in_step: Vec<usize> = used.iter().copied().filter(|index| !nodes[*index].out_of_step).collect();
-        let motion = self.fuse_motion(&in_step, &waiting);
+        let motion = self.fuse_motion((&in_step, &nodes), &waiting);
         let mut responses = Vec::new();
         if let MotionExchange::Responses(_) | MotionExchange::Samples(_) = self.settings.motion {
             responses.resize(nodes.len(), None);
-            for index in &used {
+            // motion of a wrong node moves the others to where it is, where it looks regular: it is told once it has been for long enough
+            for index in used.iter().filter(|index| self.known[**index].suspended == 0) {
                 responses[*index] = waiting[*index].as_ref().and_then(|waiting| waiting.motion.clone());
             }
         }
@@ -406,16 +414,40 @@ impl Station {
             FusionRule::Published => Sharing::Nothing,
             FusionRule::PriorCorrect(sharing) => sharing,
         };
-        for (index, NodeDistance { distance, excluded }) in heard.iter().zip(detector.judge(&densities, sharing)) {
-            let suspended = &mut self.known[*index].suspended;
-            *suspended = if excluded { readmission } else { suspended.saturating_sub(1) };
-            nodes[*index].distance = Some(distance);
-            nodes[*index].excluded = *suspended > 0;
+        for (index, found) in heard.iter().zip(detector.judge(&densities, sharing)) {
+            let NodeDistance { distance, excluded, weight } = found;
+            let known = &mut self.known[*index];
+            let is_suspicious = match detector.weighting {
+                Weighting::AllOrNothing => excluded,
+                Weighting::Graded => weight < 1.0,
+            };
+            known.suspended = if is_suspicious { readmission } else { known.suspended.saturating_sub(1) };
+            known.unsettled = match (known.suspended, weight < LEAST_WEIGHT) {
+                (0, _) => 0,
+                (_, true) => PATIENCE + 1,
+                (_, false) => known.unsettled.saturating_add(1),
+            };
+            let is_out = match detector.weighting {
+                Weighting::AllOrNothing => known.suspended > 0,
+                Weighting::Graded => known.unsettled > PATIENCE,
+            };
+            let report = &mut nodes[*index];
+            report.distance = Some(distance);
+            report.excluded = is_out;
+            report.weight = if is_out { 0.0 } else { weight };
         }
     }
 
     /// Makes the fused density the state, and returns it.
-    fn add_learnt(&mut self, used: &[usize], waiting: &[Option<Waiting>], at: f64) -> Gaussian {
+    ///
+    /// What a node has learnt counts its weight over `γ`, which is that of as many nodes as the weights sum up to: a node that counts less and
+    /// less ends as one that is left out, and the others then count as they do without it.
+    fn add_learnt(
+        &mut self,
+        (used, nodes): (&[usize], &[NodeReport]),
+        waiting: &[Option<Waiting>],
+        at: f64,
+    ) -> Gaussian {
         let growth = self.settings.growth_per_period;
         let age = |waiting: &Waiting| growth.powf((at - waiting.at).max(0.0));
         let fused = match self.settings.rule {
@@ -425,7 +457,7 @@ impl Station {
                     if let (Some(waiting), Some((_, density))) = (&waiting[*index], &self.known[*index].own)
                         && let Ok(information) = density.information()
                     {
-                        product.add(1.0 / age(waiting), &information);
+                        product.add(nodes[*index].weight / age(waiting), &information);
                     }
                 }
                 product.gaussian().ok().map(|density| (product, density))
@@ -433,13 +465,14 @@ impl Station {
             FusionRule::PriorCorrect(sharing) => {
                 // a sum that is no density is one that counts too much
                 let learnt = |index: &&usize| waiting[**index].as_ref().is_some_and(|waiting| waiting.learnt.is_some());
-                let learning = used.iter().filter(learnt).count();
+                let learning = used.iter().filter(learnt).map(|index| nodes[*index].weight).sum();
                 let factors = [sharing.factor(learning), Sharing::All.factor(learning)];
                 factors.into_iter().find_map(|factor| {
                     let mut sum = self.fused.clone();
                     for index in used {
                         if let Some(Waiting { learnt: Some(learnt), .. }) = &waiting[*index] {
-                            sum.add(1.0 / (factor * waiting[*index].as_ref().map_or(1.0, age)), learnt);
+                            let counted = nodes[*index].weight / (factor * waiting[*index].as_ref().map_or(1.0, age));
+                            sum.add(counted, learnt);
                         }
                     }
                     sum.gaussian().ok().map(|density| (sum, density))
@@ -455,24 +488,29 @@ impl Station {
     }
 
     /// Weighs each coordinate by the variances, (6.44) to (6.48); the variance is that of nodes that share all.
-    fn fuse_motion(&self, used: &[usize], waiting: &[Option<Waiting>]) -> Option<CompressedMotion> {
+    fn fuse_motion(
+        &self,
+        (used, nodes): (&[usize], &[NodeReport]),
+        waiting: &[Option<Waiting>],
+    ) -> Option<CompressedMotion> {
         let MotionExchange::Modes(basis) = &self.settings.motion else { return None };
         let len = 2 * basis.modes();
         let (mut weights, mut weighted) = (DVector::zeros(len), DVector::zeros(len));
-        let mut count = 0;
+        let mut count = 0.0;
         for index in used {
             let Some(motion) = waiting[*index].as_ref().and_then(|waiting| waiting.motion.as_ref()) else { continue };
-            count += 1;
+            let weight = nodes[*index].weight;
+            count += weight;
             for j in 0..len {
-                weights[j] += 1.0 / motion.variance[j];
-                weighted[j] += motion.mean[j] / motion.variance[j];
+                weights[j] += weight / motion.variance[j];
+                weighted[j] += weight * motion.mean[j] / motion.variance[j];
             }
         }
         let factor = match self.settings.rule {
             FusionRule::Published => 1.0,
             FusionRule::PriorCorrect(sharing) => sharing.factor(count),
         };
-        (count > 0).then(|| CompressedMotion {
+        (count > 0.0).then(|| CompressedMotion {
             mean: weighted.component_div(&weights),
             variance: weights.map(|weight| factor / weight),
         })

@@ -7,9 +7,15 @@ use rand_distr::{Distribution, StandardNormal};
 #[test]
 fn upper_bounds_are_those_of_the_source() {
     // (4.27); the table of windows
-    for (window, expected) in
-        [(100, 2.7046), (1000, 3.3926), (3627, 3.7306), (10_000, 3.9787), (94_118, 4.4829), (100_000, 4.4958)]
-    {
+    for (window, expected) in [
+        (100, 2.7046),
+        (1000, 3.3926),
+        (3627, 3.7306),
+        (10_000, 3.9787),
+        (87_148, 4.4664),
+        (94_118, 4.4829),
+        (100_000, 4.4958),
+    ] {
         assert!((upper_bound(window) - expected).abs() < 1e-4, "{window}: {}", upper_bound(window));
     }
 }
@@ -130,12 +136,26 @@ fn a_clean_stream_is_swamped_as_little_as_the_window_allows() {
 }
 
 #[test]
+fn a_first_scale_that_is_a_little_off_is_borne() {
+    // ch7 §5, check 3: eight channels of 20 000 samples, window of 10 000, with the first scale as it is, 5 % too large, 5 % too small
+    for (scale, low, high) in [(1.0, 0.001, 0.01), (1.05, 0.0, 0.003), (0.95, 0.0, 0.02)] {
+        let channels = (1..=8).map(|seed| swamping(seed, &settings(10_000), 20_000, scale, false));
+        let found = channels.sum::<f64>() / 8.0;
+        assert!((low..=high).contains(&found), "first scale {scale}: {found}");
+    }
+}
+
+#[test]
 fn without_the_lower_bound_half_of_a_clean_stream_is_rejected() {
     for seed in [1, 2, 3] {
         let settings = OutlierSettings { lower: 0.0, ..settings(1000) };
         let found = swamping(seed, &settings, 20_000, 1.0, true);
         assert!(found > 0.4, "seed {seed}: {found}");
     }
+    // ch7 §5, check 3: a quarter and more of the first 4000 samples, of eight channels with a window of 10 000
+    let settings = OutlierSettings { lower: 0.0, ..settings(10_000) };
+    let found = (1..=8).map(|seed| swamping(seed, &settings, 4000, 1.0, false)).sum::<f64>() / 8.0;
+    assert!(found > 0.25, "{found}");
 }
 
 #[test]

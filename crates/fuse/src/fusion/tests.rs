@@ -162,6 +162,32 @@ fn a_node_that_disagrees_is_left_out_and_told_of_once() {
 }
 
 #[test]
+fn the_weight_of_a_node_is_shown_and_one_that_stays_discounted_is_left_out() {
+    let file = FILE.replace("detector = \"none\"", "detector = \"one-at-a-time\"\nweighting = \"graded\"");
+    let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
+    let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
+    run(&mut fusion, [Input::Present(vec![true; 16])]);
+    let mut weights = Vec::new();
+    for index in 1..20 {
+        // ten parameters are off by 0.3, with variances of 0.008 here and there: d² is 56, and 29.6 the limit
+        let mean = |node| if node == 4 { 1.25 } else { 0.95 };
+        let outputs = run(&mut fusion, (0..16).map(|node| local(node, message(3, index, Pace::Replayed, mean(node)))));
+        for output in &outputs {
+            let Output::Node(node) = output else { continue };
+            assert!(spandrel_bus::Message::check(node).is_ok());
+            if node.node.as_str() == "floor-5" {
+                assert_eq!(node.state == NodeHealth::Excluded, node.weight == Some(0.0));
+                weights.push(node.weight.unwrap());
+            } else {
+                assert_eq!(node.weight, Some(1.0));
+            }
+        }
+    }
+    assert!(weights[..3].iter().all(|weight| (weight - 29.588 / 56.25).abs() < 1e-3), "{weights:?}");
+    assert!(weights[3..].iter().all(|weight| *weight == 0.0), "{weights:?}");
+}
+
+#[test]
 fn the_last_block_says_that_it_is_the_last() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut fusion, (0..16).map(|node| local(node, message(3, 1, Pace::Replayed, 0.95))));

@@ -48,12 +48,16 @@ fn state(display: &NodeDisplay) -> String {
     since_ns.map_or_else(|| word.to_owned(), |since_ns| format!("{word} since {}", time(since_ns)))
 }
 
-/// `distance 2.1 of 5.4`: of what is regular; without a detector there is no distance.
+/// `distance 2.1 of 5.4`: of what is regular, and what a node counts that is discounted; without a detector there is no distance.
 fn distance(display: &NodeDisplay) -> String {
-    match (display.distance, display.distance_limit) {
+    let distance = match (display.distance, display.distance_limit) {
         (Some(distance), Some(limit)) => format!("distance {distance:.1} of {limit:.1}"),
         (Some(distance), None) => format!("distance {distance:.1}"),
         (None, _) => "distance –".to_owned(),
+    };
+    match display.weight.filter(|weight| *weight > 0.0 && *weight < 1.0) {
+        Some(weight) => format!("{distance}, counts {weight:.2}"),
+        None => distance,
     }
 }
 
@@ -123,6 +127,16 @@ mod tests {
                 "2024-02-29 12:01:00 UTC node tower/floor-20 excluded since 2024-02-29 12:00:00 UTC, \
                  distance 21.1 of 5.4, 500 B/s from it, 100 B/s to it",
             ]
+        );
+    }
+
+    #[test]
+    fn a_discounted_node_says_what_it_counts() {
+        let mut discounted = node("floor-20", 60, NodeHealth::Used);
+        (discounted.distance, discounted.weight) = (Some(7.2), Some(0.5625));
+        assert_eq!(
+            lines([Input::Node(discounted)]),
+            ["2024-02-29 12:01:00 UTC node tower/floor-20 alive, distance 7.2 of 5.4, counts 0.56, – B/s"]
         );
     }
 

@@ -69,6 +69,7 @@ pub fn node(node: &str, second: i64, state: NodeHealth) -> NodeDisplay {
         state,
         distance: Some(2.1),
         distance_limit: Some(5.4),
+        weight: Some(1.0),
         excluded_since_ns: None,
         silent_since_ns: None,
         heard_ns: Some(time_ns),

@@ -3,7 +3,7 @@
 use crate::fusion_plan::{FusionPlan, MotionPlan};
 use crate::node::Node;
 use crate::section::{Allowed, Section};
-use spandrel_filter::fusion::{CovarianceScheme, FeedbackRule, FusionRule, GlobalDetector, Sharing};
+use spandrel_filter::fusion::{CovarianceScheme, FeedbackRule, FusionRule, GlobalDetector, Sharing, Weighting};
 use toml::Spanned;
 
 /// Words for whether identification is distributed.
@@ -51,12 +51,19 @@ enum Detector {
 const DETECTORS: [(&str, Detector); 3] =
     [("none", Detector::None), ("all-at-once", Detector::AllAtOnce), ("one-at-a-time", Detector::OneAtATime)];
 
+const WEIGHTINGS: [(&str, Weighting); 2] = [("all-or-nothing", Weighting::AllOrNothing), ("graded", Weighting::Graded)];
+
 /// Fusions per second unless the file says otherwise.
 const RATE_HZ: f64 = 1.0;
 
 /// Stricter than the source: the node beside a damage knows of it first, and should not be left out for that.
-const DETECTOR: GlobalDetector =
-    GlobalDetector { screening: 0.999, exclusion: 0.5, one_at_a_time: true, readmission: 3 };
+const DETECTOR: GlobalDetector = GlobalDetector {
+    screening: 0.999,
+    exclusion: 0.5,
+    one_at_a_time: true,
+    readmission: 3,
+    weighting: Weighting::AllOrNothing,
+};
 
 /// Periods after which a message is too old: Huang & Yuen (2023), chapter 7.
 const STALE_PERIODS: f64 = 3.0;
@@ -85,6 +92,7 @@ pub(super) fn read_fusion(
                 "screening",
                 "exclusion",
                 "readmission",
+                "weighting",
                 "stale-periods",
             ]);
             section.finish();
@@ -192,10 +200,12 @@ fn read_detector(section: &mut Section<'_>) -> Option<GlobalDetector> {
     let screening = section.number("screening", Allowed::INSIDE_UNIT);
     let exclusion = section.number("exclusion", Allowed::INSIDE_UNIT);
     let readmission = section.whole("readmission", 1, 10_000);
+    let weighting = section.choice("weighting", &WEIGHTINGS);
     let unread = [
         ("screening", screening.as_ref().map(Spanned::span), detector == Detector::None),
         ("exclusion", exclusion.as_ref().map(Spanned::span), detector != Detector::AllAtOnce),
         ("readmission", readmission.as_ref().map(Spanned::span), detector == Detector::None),
+        ("weighting", weighting.as_ref().map(Spanned::span), detector == Detector::None),
     ];
     for (key, span, is_unread) in unread {
         if let Some(span) = span.filter(|_| is_unread) {
@@ -209,6 +219,7 @@ fn read_detector(section: &mut Section<'_>) -> Option<GlobalDetector> {
         exclusion: exclusion.map_or(DETECTOR.exclusion, Spanned::into_inner),
         one_at_a_time: detector == Detector::OneAtATime,
         readmission: readmission.map_or(DETECTOR.readmission, |fusions| *fusions.get_ref() as u32),
+        weighting: weighting.map_or(DETECTOR.weighting, Spanned::into_inner),
     })
 }
 

@@ -1,5 +1,5 @@
 use crate::Structure;
-use spandrel_filter::fusion::FeedbackRule;
+use spandrel_filter::fusion::{FeedbackRule, Weighting};
 use std::path::Path;
 
 const FILE: &str = include_str!("../../../../../docs/examples/forty-storey-building.toml");
@@ -29,6 +29,14 @@ fn defaults_tell_nothing_of_the_motion() {
     let plan = structure.fusion().unwrap();
     assert_eq!((plan.rate_hz(), plan.feedback(), plan.passes_motion_on()), (2.0, FeedbackRule::Marginal, false));
     assert_eq!(structure.local_filter(3).unwrap().unwrap().filter().observation_len(), 2);
+}
+
+#[test]
+fn weights_of_nodes_are_graded_where_the_file_asks_for_it() {
+    let weighting = |fusion| with(fusion).unwrap().fusion().unwrap().detector().unwrap().weighting;
+    assert_eq!(weighting("rate-hz = 1"), Weighting::AllOrNothing);
+    assert_eq!(weighting("weighting = \"graded\""), Weighting::Graded);
+    assert_eq!(weighting("detector = \"all-at-once\"\nweighting = \"graded\""), Weighting::Graded);
 }
 
 #[test]
@@ -69,6 +77,11 @@ fn bad_input_names_the_key_and_what_is_allowed() {
             "detector = \"none\"\nreadmission = 2",
             "fusion.readmission: is given, must not be given beside detector = \"none\"",
         ),
+        (
+            "detector = \"none\"\nweighting = \"graded\"",
+            "fusion.weighting: is given, must not be given beside detector = \"none\"",
+        ),
+        ("weighting = \"half\"", "fusion.weighting: is \"half\", must be one of \"all-or-nothing\", \"graded\""),
         (
             "samples-per-period = 5",
             "fusion.samples-per-period: is given, must not be given unless motion = \"samples\"",
