@@ -2,6 +2,9 @@
 
 use super::*;
 
+/// Of the structure file.
+const HALF_LIFE_S: f64 = 8.0;
+
 /// A new life of a station, from what was written of the one before.
 fn next_life(before: &Fusion, structure: &Structure, epoch: u64) -> Fusion {
     let bytes = postcard::to_stdvec(&before.state()).unwrap();
@@ -75,11 +78,13 @@ fn a_station_whose_nodes_have_died_with_it_does_not_go_back_to_the_prior() {
     };
     let outputs = live(&mut second, 100..102, nameless);
     let next = &estimated(&outputs)[0];
+    // information halves in half of the half-life, and periods have a second
+    let one_period = 2_f64.powf(1.0 / (HALF_LIFE_S / 2.0));
     for parameter in 0..10 {
         let std = last.variance(parameter).unwrap().sqrt();
         assert!((next.mean[parameter] - last.mean[parameter]).abs() < 1e-6 * std, "{} {}", next.mean[parameter], std);
-        let growth = next.variance(parameter).unwrap().sqrt() / std;
-        assert!((1.0..1.05).contains(&growth), "it fades by one period, and not by {growth}");
+        let growth = next.variance(parameter).unwrap() / (std * std);
+        assert!((growth / one_period - 1.0).abs() < 1e-6, "it fades by one period, {one_period}, and not by {growth}");
     }
     // and that is what the nodes are answered
     let answers = outputs.iter().filter(|output| {
