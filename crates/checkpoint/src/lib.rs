@@ -14,6 +14,7 @@
 //! - [`Identity`]: what a checkpoint must be of to be read
 //! - [`fingerprint`]: what a part of a state rests on, for services that judge its parts one by one
 //! - [`Place`]: an item of a numbered stream
+//! - [`Keeper`]: keeps states in the background, no more often than is asked for
 //! - [`Remembering`]: where a service keeps them, and how often
 //!
 //! A file is written beside its place, forced to the disk and renamed, so that there is never half of one under a name that
@@ -23,8 +24,10 @@
 
 mod envelope;
 mod error;
+mod keeper;
 mod series;
 
 pub use envelope::{Identity, fingerprint};
 pub use error::{CheckpointError, Refusal};
+pub use keeper::Keeper;
 pub use series::{Checkpoints, Loaded, Place, Remembering};

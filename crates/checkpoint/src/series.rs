@@ -3,6 +3,7 @@
 use crate::envelope::Identity;
 use crate::error::{CheckpointError, Refusal};
 use serde::{Serialize, de::DeserializeOwned};
+use std::fmt::Display;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -90,6 +91,19 @@ impl Checkpoints {
     #[must_use]
     pub fn load_latest<T: DeserializeOwned>(&self) -> Loaded<T> {
         self.load(self.places().unwrap_or_default().into_iter().rev())
+    }
+
+    /// Returns what `restore` makes of the newest state that may be read and that it takes; other files are set aside.
+    pub fn recall<T: DeserializeOwned, R, E: Display>(
+        &self,
+        mut restore: impl FnMut(T) -> Result<R, E>,
+    ) -> Option<(Place, R)> {
+        self.places().unwrap_or_default().into_iter().rev().find_map(|place| {
+            let path = self.path(place);
+            let state = read(&path).and_then(|bytes| self.identity.open(&bytes));
+            let restored = state.and_then(|state| restore(state).map_err(|why| Refusal::Content(why.to_string())));
+            restored.map_err(|why| set_aside(&path, &why)).ok().map(|restored| (place, restored))
+        })
     }
 
     /// Returns the oldest state that may be read; files that may not are set aside.
@@ -260,6 +274,24 @@ mod tests {
         let [(aside, Refusal::Damaged)] = &loaded.refused[..] else { panic!("{:?}", loaded.refused) };
         assert!(aside.is_file() && !newest.exists());
         assert_eq!(checkpoints.load_latest::<u64>().refused, []);
+    }
+
+    #[test]
+    fn a_state_that_is_not_taken_is_set_aside_and_the_one_before_it_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoints = checkpoints(folder.path());
+        for sequence in [1, 2, 3] {
+            checkpoints.save(at(1, sequence), &sequence).unwrap();
+        }
+        fs::write(checkpoints.path(at(1, 3)), "no checkpoint").unwrap();
+        let odd = |state: u64| if state % 2 == 1 { Ok(10 * state) } else { Err("it is even") };
+        assert_eq!(checkpoints.recall(odd), Some((at(1, 1), 10)));
+        assert_eq!(checkpoints.places().unwrap(), [at(1, 1)]);
+        for sequence in [2, 3] {
+            let aside = checkpoints.path(at(1, sequence)).with_extension(format!("{ENDING}.{SET_ASIDE}"));
+            assert!(aside.is_file(), "{}", aside.display());
+        }
+        assert_eq!(checkpoints.recall(|_: u64| Err::<(), _>("never")), None);
     }
 
     // Sizes of a matrix whose product overflows ended the service at each start.

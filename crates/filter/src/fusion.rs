@@ -27,6 +27,6 @@ pub mod station;
 pub use compression::{CompressedMotion, CovarianceScheme, ModalBasis, MotionExchange, Responses, Weights};
 pub use detector::{GlobalDetector, NodeDistance, Weighting};
 pub use gaussian::{Gaussian, Information, product};
-pub use local::{Feedback, FeedbackRule, Lineage, LocalEstimate, LocalFilter, NodeSettings, Taken};
+pub use local::{Feedback, FeedbackRule, Lineage, LocalEstimate, LocalFilter, LocalState, NodeSettings, Taken};
 pub use samples::{SampleExchange, unit_exponent};
-pub use station::{Fused, FusionRule, NodeReport, Refusal, Sharing, Station, StationSettings};
+pub use station::{Fused, FusionRule, NodeReport, Refusal, Sharing, Station, StationSettings, StationState};

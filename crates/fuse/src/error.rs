@@ -1,6 +1,7 @@
 //! What can keep a station from starting, or end the service.
 
 use spandrel_bus::{BusError, NameError};
+use spandrel_checkpoint::CheckpointError;
 use spandrel_filter::FilterError;
 use thiserror::Error;
 
@@ -30,6 +31,9 @@ pub enum FuseError {
         /// Why.
         source: NameError,
     },
+    /// What the station knows cannot be kept.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
     /// The bus refused a declaration or is closed.
     #[error(transparent)]
     Bus(#[from] BusError),

@@ -14,6 +14,10 @@ use spandrel_filter::fusion::{CompressedMotion, Fused, Gaussian, Lineage, LocalE
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 
+mod state;
+
+pub use state::FusionState;
+
 /// Where the first message of live nodes lies within its fusion period. In the middle: nodes that began together send together,
 /// and jitter of the network must not decide which fusion hears them.
 const FIRST_MESSAGE_AT: f64 = 0.5;
@@ -165,6 +169,12 @@ impl Fusion {
         if !self.ended && self.nodes.iter().any(|node| node.ended) && self.nodes.iter().all(Node::is_over) {
             self.end(outputs);
         }
+    }
+
+    /// Returns the epoch of its estimates: higher in each life.
+    #[must_use]
+    pub fn epoch(&self) -> u64 {
+        self.epoch
     }
 
     /// Returns the number of fusions.

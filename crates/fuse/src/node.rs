@@ -1,5 +1,6 @@
 //! A node in the eyes of the station: what it sent, whether it is heard and agrees, and what of that is worth an event.
 
+use serde::{Deserialize, Serialize};
 use spandrel_bus::{EventKind, LocalMessage, MaskedSpan, Name, NodeDisplay, NodeHealth, OutlierDisplay, Pace};
 use spandrel_filter::fusion::NodeReport;
 use std::collections::BTreeMap;
@@ -13,26 +14,31 @@ const SHARE_MEMORY: f64 = 20.0;
 /// A node is worth an event once so many fusions on end had nothing of it: a message that was lost or is late is soon made up for.
 const SILENT_FUSIONS: u64 = 3;
 
-/// A node as the station knows it.
-#[derive(Debug, Clone)]
+/// A node as the station knows it. What is left out of a checkpoint is of one life of the station.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Node {
     pub(crate) name: Name,
     pub(crate) epoch: u64,
+    #[serde(skip)]
     pub(crate) present: bool,
     pub(crate) heard_ever: bool,
+    #[serde(skip)]
     pub(crate) ended: bool,
     pub(crate) pace: Pace,
     /// number of the fusion period of its last message, since 1970 by measurement time; and its time
+    #[serde(skip)]
     pub(crate) last: Option<(i64, i64)>,
     pub(crate) messages: u64,
     pub(crate) bytes_received: u64,
     pub(crate) bytes_sent: u64,
+    #[serde(skip)]
     pub(crate) refused: BTreeMap<&'static str, u64>,
     pub(crate) restarts: u64,
     channels: Vec<Channel>,
     /// when it was last heard, as it is displayed
     heard_ns: Option<i64>,
     /// instants with a sample that its messages since the last fusion told of
+    #[serde(skip)]
     samples: u64,
     /// of the last fusion
     report: NodeReport,
@@ -43,7 +49,7 @@ pub(crate) struct Node {
 }
 
 /// An observed channel of a node.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Channel {
     name: Name,
     /// samples rejected when it was last told of
@@ -52,7 +58,7 @@ struct Channel {
 }
 
 /// How long nothing has come of a node.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 struct Quiet {
     /// time of the first fusion without it
     since_ns: Option<i64>,
@@ -88,6 +94,11 @@ impl Node {
             excluded_share: 0.0,
             often_excluded: false,
         }
+    }
+
+    /// Whether it has the name and the channels of another.
+    pub(crate) fn is_as(&self, other: &Self) -> bool {
+        self.name == other.name && self.channel_names().eq(other.channel_names())
     }
 
     /// Nothing more will come of it.

@@ -1,12 +1,13 @@
 //! Joins the station of one structure to the bus.
 
 use crate::error::FuseError;
-use crate::fusion::{Fusion, Input, Output};
+use crate::fusion::{Fusion, FusionState, Input, Output};
 use spandrel_bus::{
     BoxedFuture, Bus, BusError, Description, DisplayPublisher, EstimateBlock, Event, FeedbackMessage, Keys,
     LatestPublisher, LiveToken, LiveWatch, LocalMessage, Message, Name, NodeDisplay, NumberedPublisher, NumberedStream,
     OutlierDisplay, ParameterDisplay, ProgressPublisher, Service, Status, StreamState, Subscription,
 };
+use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
 use spandrel_filter::fusion::compression::MISSED_MASS;
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
@@ -45,33 +46,36 @@ pub struct FuseService {
     _description: LatestPublisher<Description>,
     progress: ProgressPublisher,
     status: DisplayPublisher<Status>,
+    keeper: Option<Keeper>,
     keys: Keys,
     service: Name,
     id: Name,
-    epoch: u64,
     token: Option<LiveToken>,
 }
 
 impl FuseService {
-    /// Checks everything and joins the bus; `id` names this instance, `epoch` is higher at each start.
+    /// Checks everything and joins the bus; `id` names this instance, `epoch` is higher at each start. Where `remembering` says that
+    /// checkpoints are kept, the station goes on from the last one.
     ///
     /// # Errors
-    /// When the structure is not identified by its nodes, or the bus refuses a declaration.
+    /// When the structure is not identified by its nodes, the checkpoints cannot be kept, or the bus refuses a declaration.
     pub fn start<'a>(
         structure: &'a Structure,
         bus: &'a Bus,
         keys: Keys,
         id: Name,
         epoch: u64,
+        remembering: Option<&'a Remembering>,
     ) -> BoxedFuture<'a, Result<Self, FuseError>> {
         Box::pin(async move {
-            let core = Fusion::new(structure, id.as_str(), epoch)?;
+            let mut core = Fusion::new(structure, id.as_str(), epoch)?;
+            let keeper = remembering.map(|remembering| recall(&mut core, structure, remembering)).transpose()?;
             let estimates = bus
                 .publish_numbered(NumberedStream {
                     key: keys.estimates(),
                     buffer_key: keys.estimates_buffer(),
                     source: id.to_string(),
-                    epoch,
+                    epoch: core.epoch(),
                     first: 0,
                     state: StreamState::Running,
                     capacity: ESTIMATES_KEPT,
@@ -118,9 +122,9 @@ impl FuseService {
                 service: named(Service::Fuse.as_str())?,
                 token: Some(bus.announce(keys.live(Service::Fuse, &id)).await?),
                 core,
+                keeper,
                 keys,
                 id,
-                epoch,
             };
             info!(structure = structure.name(), nodes = service.feedback.len(), "station ready");
             if let Some((modes, missed)) = structure.sent_modes().filter(|(_, missed)| *missed > MISSED_MASS) {
@@ -167,6 +171,10 @@ impl FuseService {
             while let Ok(Ok((key, message))) = tokio::time::timeout(LAST_MESSAGES, messages.recv_async()).await {
                 self.take(&key, message).await?;
             }
+            self.keep().await;
+            if let Some(keeper) = &mut self.keeper {
+                keeper.finish().await;
+            }
             if let Some(token) = self.token.take() {
                 token.withdraw().await?;
             }
@@ -190,14 +198,27 @@ impl FuseService {
 
     async fn handle(&mut self, input: Input) -> Result<(), FuseError> {
         let mut outputs = Vec::new();
+        let before = self.core.done();
         self.core.handle(input, &mut outputs);
         for output in outputs {
             self.put(output).await?;
         }
         if let Some(done_ns) = self.core.done_ns() {
-            self.progress.set(self.epoch, self.core.done(), done_ns);
+            self.progress.set(self.core.epoch(), self.core.done(), done_ns);
+        }
+        // after a fusion nothing waits that a checkpoint would lose
+        if self.core.done() != before && self.keeper.as_ref().is_some_and(Keeper::is_due) {
+            self.keep().await;
         }
         Ok(())
+    }
+
+    /// Keeps what is known, once there was a fusion.
+    async fn keep(&mut self) {
+        let place = Place { epoch: self.core.epoch(), sequence: self.core.done() };
+        if let Some(keeper) = self.keeper.as_mut().filter(|_| place.sequence > 0) {
+            keeper.keep(place, self.core.state(), None).await;
+        }
     }
 
     async fn put(&mut self, output: Output) -> Result<(), FuseError> {
@@ -262,6 +283,26 @@ impl FuseService {
         };
         Ok(self.status.put(&status).await?)
     }
+}
+
+/// Has the station go on from its last checkpoint, if there is one that may be read; returns what keeps the next ones.
+fn recall(core: &mut Fusion, structure: &Structure, remembering: &Remembering) -> Result<Keeper, FuseError> {
+    let identity = Identity {
+        kind: "fuse",
+        version: FusionState::VERSION,
+        of: structure.name().to_owned(),
+        basis: structure.identification_basis(),
+    };
+    let checkpoints = Checkpoints::open(&remembering.folder, identity)?;
+    if let Some((place, ())) = checkpoints.recall(|state| core.restore(state)) {
+        info!(
+            structure = structure.name(),
+            epoch = place.epoch,
+            fusion = place.sequence,
+            "goes on from its checkpoint"
+        );
+    }
+    Ok(Keeper::new(checkpoints, remembering.every))
 }
 
 /// Puts a message; one that cannot be encoded is told of and left out, the service goes on.

@@ -34,7 +34,7 @@ mod trouble;
 pub use error::IdentifyError;
 pub use estimator::{Estimator, EstimatorState, ParticlePlan, Particles};
 pub use identification::{Identification, IdentificationState, Input, Output};
-pub use node::{NodeIdentification, NodeInput, NodeOutput};
+pub use node::{NodeIdentification, NodeInput, NodeOutput, NodeState};
 pub use node_shell::NodeService;
 pub use pool::FilterPool;
 pub use seat::Precedence;

@@ -3,11 +3,9 @@
 use crate::error::IdentifyError;
 use crate::identification::{Identification, IdentificationState};
 use spandrel_bus::{Progress, ProgressWatch};
-use spandrel_checkpoint::{CheckpointError, Checkpoints, Identity, Loaded, Place, Remembering};
+use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Loaded, Place, Remembering};
 use spandrel_structure::Structure;
-use std::time::Duration;
-use tokio::task::{JoinHandle, block_in_place};
-use tokio::time::Instant;
+use tokio::task::block_in_place;
 use tracing::{info, warn};
 
 /// What the state of the identification of a structure is of.
@@ -26,17 +24,12 @@ pub(crate) fn identity(structure: &Structure) -> Identity {
 /// every estimate that has not been decided on.
 #[derive(Debug)]
 pub(crate) struct Memory {
-    checkpoints: Checkpoints,
+    keeper: Keeper,
     /// The terms in which this service has led, as epochs of files that hold nothing else.
     terms: Checkpoints,
-    every: Duration,
-    last: Instant,
-    /// one at a time, on a thread that may wait for the disk
-    saving: Option<JoinHandle<Result<(), CheckpointError>>>,
     /// whether the structure has alert rules
     is_decided_on: bool,
     alert: ProgressWatch,
-    failures: u64,
 }
 
 impl Memory {
@@ -48,15 +41,12 @@ impl Memory {
     ) -> Result<Self, IdentifyError> {
         // a term outlives every change of the structure file
         let of_term = Identity { kind: "term", version: 1, of: structure.name().to_owned(), basis: String::new() };
+        let checkpoints = Checkpoints::open(&remembering.folder, identity(structure))?;
         Ok(Self {
-            checkpoints: Checkpoints::open(&remembering.folder, identity(structure))?,
+            keeper: Keeper::new(checkpoints, remembering.every),
             terms: Checkpoints::open(&remembering.folder, of_term)?,
-            every: remembering.every,
-            last: Instant::now(),
-            saving: None,
             is_decided_on: !structure.alert_rules().is_empty(),
             alert,
-            failures: 0,
         })
     }
 
@@ -91,7 +81,7 @@ impl Memory {
     ) -> Result<Identification, IdentifyError> {
         loop {
             let mut core = new()?;
-            let Some((place, state)) = load(&self.checkpoints).found else {
+            let Some((place, state)) = load(self.keeper.checkpoints()).found else {
                 return Ok(core);
             };
             match core.restore(state) {
@@ -99,7 +89,7 @@ impl Memory {
                     info!(epoch = place.epoch, frame = place.sequence, "goes on from its checkpoint");
                     return Ok(core);
                 }
-                Err(error) => drop(self.checkpoints.refuse(place, error.to_string())),
+                Err(error) => drop(self.keeper.checkpoints().refuse(place, error.to_string())),
             }
         }
     }
@@ -109,13 +99,13 @@ impl Memory {
         &mut self,
         new: impl FnMut() -> Result<Identification, IdentifyError>,
     ) -> Result<Identification, IdentifyError> {
-        self.saved().await;
+        self.keeper.finish().await;
         self.restore(new, Checkpoints::load_latest)
     }
 
     /// Keeps the state when it is time to.
     pub(crate) async fn keep_if_due(&mut self, core: &Identification) {
-        if self.last.elapsed() >= self.every && self.saving.as_ref().is_none_or(JoinHandle::is_finished) {
+        if self.keeper.is_due() {
             self.keep(core).await;
         }
     }
@@ -123,36 +113,17 @@ impl Memory {
     /// Keeps the last state, and waits until it is on the disk.
     pub(crate) async fn close(mut self, core: &Identification) {
         self.keep(core).await;
-        self.saved().await;
+        self.keeper.finish().await;
     }
 
     async fn keep(&mut self, core: &Identification) {
-        self.saved().await;
         let Some((epoch, sequence)) = core.position() else {
             return;
         };
-        self.last = Instant::now();
-        let (checkpoints, state) = (self.checkpoints.clone(), core.state());
         let heard =
             self.alert.latest().map(|Progress { header, kept, .. }| Place { epoch: header.epoch, sequence: kept });
         // An alert service that has not been heard of may need everything; without rules there is none.
         let needed = if self.is_decided_on { heard.or(Some(Place { epoch: 0, sequence: 0 })) } else { None };
-        self.saving = Some(tokio::task::spawn_blocking(move || {
-            checkpoints.save(Place { epoch, sequence }, &state)?;
-            checkpoints.forget_before(needed)
-        }));
-    }
-
-    /// Waits for what is being saved; a failure is told each time their count has doubled, and tried again when it is time to.
-    async fn saved(&mut self) {
-        let Some(saving) = self.saving.take() else {
-            return;
-        };
-        if let Ok(Err(error)) = saving.await {
-            self.failures += 1;
-            if self.failures.is_power_of_two() {
-                warn!(%error, failures = self.failures, "checkpoint not kept: a crash now would cost more frames");
-            }
-        }
+        self.keeper.keep(Place { epoch, sequence }, core.state(), needed).await;
     }
 }

@@ -7,6 +7,7 @@
 
 use crate::error::IdentifyError;
 use crate::node_screening::NodeScreening;
+use serde::{Deserialize, Serialize};
 use spandrel_bus::{
     Event, EventKind, FeedbackMessage, Header, LocalDensity, LocalMessage, Name, NodeLineage, Pace, SampleBlock,
     StreamState, TimeGrid, ToldMotion,
@@ -15,6 +16,10 @@ use spandrel_filter::fusion::{CompressedMotion, Feedback, FeedbackRule, Gaussian
 use spandrel_filter::{BandLimit, Frame};
 use spandrel_structure::{Structure, StructureModel};
 use std::collections::{BTreeMap, VecDeque};
+
+mod state;
+
+pub use state::NodeState;
 
 /// A gap up to this long (s) is bridged by predictions; over a longer one the motion is forgotten and the parameters stay.
 const BRIDGED_GAP_S: f64 = 10.0;
@@ -28,6 +33,8 @@ const OFF_ITS_PLACE: f64 = 0.75;
 pub enum NodeInput {
     /// Samples of the node.
     Samples(SampleBlock),
+    /// Samples of before this life, of which the station may have heard in the one before: they are filtered, and nothing is told of them.
+    Past(SampleBlock),
     /// An answer of the station.
     Feedback(FeedbackMessage),
     /// The station has not answered for long: replayed samples go on without it.
@@ -77,14 +84,17 @@ pub struct NodeIdentification {
 }
 
 /// Where the samples of the running epoch stand.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Stream {
     epoch: u64,
+    /// sequence of the first sample that has not been filtered
+    next: u64,
     /// time of the last sample, ns
     last_ns: i64,
     /// its number on the grid of the sampling rate since 1970
     number: i64,
-    /// the message that has to be answered before replayed samples go on
+    /// the message that has to be answered before replayed samples go on; of one life
+    #[serde(skip)]
     awaits: Option<u64>,
 }
 
@@ -146,6 +156,7 @@ impl NodeIdentification {
     pub fn handle(&mut self, input: NodeInput, outputs: &mut Vec<NodeOutput>) {
         match input {
             NodeInput::Samples(block) => self.waiting.push_back(block),
+            NodeInput::Past(block) => self.catch_up(block, outputs),
             NodeInput::Feedback(feedback) => self.take_feedback(&feedback),
             NodeInput::NoAnswer => self.stop_waiting(),
         }
@@ -153,6 +164,29 @@ impl NodeIdentification {
             let Some(block) = self.waiting.pop_front() else { return };
             self.take_block(block, outputs);
         }
+    }
+
+    /// Filters samples of before this life, and tells the station nothing.
+    fn catch_up(&mut self, block: SampleBlock, outputs: &mut Vec<NodeOutput>) {
+        let mut found = Vec::new();
+        self.waiting.push_back(block);
+        while let Some(block) = self.waiting.pop_front() {
+            self.take_block(block, &mut found);
+            self.stop_waiting();
+        }
+        outputs.extend(found.into_iter().filter(|output| matches!(output, NodeOutput::Event(_))));
+    }
+
+    /// Returns the epoch of its messages: higher in each life.
+    #[must_use]
+    pub fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
+    /// Returns epoch and number of the first sample not yet filtered; `None` before the first.
+    #[must_use]
+    pub fn position(&self) -> Option<(u64, u64)> {
+        self.stream.map(|stream| (stream.epoch, stream.next))
     }
 
     /// Returns the message whose answer replayed samples wait for.
@@ -208,6 +242,7 @@ impl NodeIdentification {
             if let Some(stream) = &mut self.stream {
                 stream.last_ns = grid.time_ns(number);
                 stream.number += 1;
+                stream.next = block.header.sequence + number + 1;
             }
             self.tell_restart(outputs);
             self.tell_outliers(grid.time_ns(number), outputs);
@@ -292,7 +327,8 @@ impl NodeIdentification {
         }
         let last_ns = time_ns.saturating_sub((1e9 / self.rate_hz) as i64);
         let number = nearest.saturating_sub(1);
-        self.stream = Some(Stream { epoch: block.header.epoch, last_ns, number, awaits: None });
+        let (epoch, next) = (block.header.epoch, block.header.sequence);
+        self.stream = Some(Stream { epoch, next, last_ns, number, awaits: None });
     }
 
     /// Leaves samples out that are missing for too long, and places the next one after them.

@@ -2,11 +2,12 @@
 
 use crate::error::IdentifyError;
 use crate::screening::ScreeningView;
+use serde::{Deserialize, Serialize};
 use spandrel_bus::{EventKind, MaskedSpan, Name, ScreenedChannel};
 use spandrel_filter::{ChannelScreen, OutlierChange};
 
 /// One channel of a node.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct NodeScreening {
     view: ScreeningView,
     /// what was told last: an answer of the station takes the filter back to its last message, and what it finds may come again

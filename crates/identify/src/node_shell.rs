@@ -1,13 +1,14 @@
 //! Joins the identification by one sensor node to the bus.
 
 use crate::error::IdentifyError;
-use crate::node::{NodeIdentification, NodeInput, NodeOutput};
+use crate::node::{NodeIdentification, NodeInput, NodeOutput, NodeState};
 use crate::pool::FilterPool;
 use crate::shell::log_event;
 use spandrel_bus::{
     Block, BoxedFuture, Bus, Delivery, DisplayPublisher, Event, FeedbackMessage, Keys, LiveToken, LocalMessage, Name,
     Pace, SampleBlock, Service, Start, Status, Stream, Subscription,
 };
+use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -37,7 +38,10 @@ pub struct NodeService {
     samples: Stream<SampleBlock>,
     bus: Bus,
     buffer_key: String,
-    /// epoch and number of the first live sample that is filtered; none before there was one
+    keeper: Option<Keeper>,
+    /// it goes on from a checkpoint, and reads what its sensor still has of the time since
+    goes_on: bool,
+    /// epoch and number of the first live sample that was measured in this life; none before there was one
     begins_at: Option<(u64, u64)>,
     feedback: Subscription<FeedbackMessage>,
     local: DisplayPublisher<LocalMessage>,
@@ -50,10 +54,11 @@ pub struct NodeService {
 }
 
 impl NodeService {
-    /// Checks everything and joins the bus; `epoch` is higher at each start.
+    /// Checks everything and joins the bus; `epoch` is higher at each start. Where `remembering` says that checkpoints are kept, the
+    /// worker goes on from the last one, with the samples that its sensor still has of the time since.
     ///
     /// # Errors
-    /// When the node cannot identify for itself, or the bus refuses a declaration.
+    /// When the node cannot identify for itself, the checkpoints cannot be kept, or the bus refuses a declaration.
     pub fn start<'a>(
         structure: &'a Structure,
         position: usize,
@@ -61,19 +66,25 @@ impl NodeService {
         keys: &'a Keys,
         epoch: u64,
         pool: FilterPool,
+        remembering: Option<&'a Remembering>,
     ) -> BoxedFuture<'a, Result<Self, IdentifyError>> {
         Box::pin(async move {
-            let core = NodeIdentification::new(structure, position, epoch)?;
+            let mut core = NodeIdentification::new(structure, position, epoch)?;
             let named = |name: &str| {
                 Name::new(name).map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })
             };
             let node = named(structure.nodes()[position].name())?;
-            let settings = bus.reading(Start::Beginning);
+            let keeper = remembering.map(|remembering| recall(&mut core, structure, &node, remembering)).transpose()?;
+            let position = core.position();
+            let settings =
+                bus.reading(position.map_or(Start::Beginning, |(epoch, sequence)| Start::At { epoch, sequence }));
             let samples = bus.follow(keys.samples(&node), keys.buffer(&node), settings).await?;
             let service = Self {
                 samples,
                 bus: bus.clone(),
                 buffer_key: keys.buffer(&node),
+                keeper,
+                goes_on: position.is_some(),
                 begins_at: None,
                 pool,
                 feedback: bus.subscribe(keys.feedback(&node), ANSWERS_WAITING).await?,
@@ -128,6 +139,10 @@ impl NodeService {
                 self.take_delivery(delivery).await?;
                 self.take(NodeInput::NoAnswer).await?;
             }
+            self.keep().await;
+            if let Some(keeper) = &mut self.keeper {
+                keeper.finish().await;
+            }
             if let Some(token) = self.token.take() {
                 token.withdraw().await?;
             }
@@ -137,7 +152,10 @@ impl NodeService {
 
     async fn take_delivery(&mut self, delivery: Delivery<SampleBlock>) -> Result<(), IdentifyError> {
         match delivery {
-            Delivery::Block(block) if self.was_before(&block).await => Ok(()),
+            Delivery::Block(block) if self.was_before(&block).await => match self.goes_on {
+                true => self.take(NodeInput::Past(block)).await,
+                false => Ok(()),
+            },
             Delivery::Block(block) => self.take(NodeInput::Samples(block)).await,
             // the next block tells by its time how much is missing
             Delivery::Gap(gap) => {
@@ -185,7 +203,18 @@ impl NodeService {
                 }
             }
         }
+        if self.keeper.as_ref().is_some_and(Keeper::is_due) {
+            self.keep().await;
+        }
         Ok(())
+    }
+
+    /// Keeps what is known, once there was a sample.
+    async fn keep(&mut self) {
+        let Some((keeper, core)) = self.keeper.as_mut().zip(self.core.as_ref()) else { return };
+        if core.done() > 0 {
+            keeper.keep(Place { epoch: core.epoch(), sequence: core.done() }, core.state(), None).await;
+        }
     }
 
     async fn put_status(&self) -> Result<(), IdentifyError> {
@@ -214,4 +243,26 @@ impl NodeService {
         };
         Ok(self.status.put(&status).await?)
     }
+}
+
+/// Has the worker go on from its last checkpoint, if there is one that may be read; returns what keeps the next ones. Nodes of one state
+/// folder have a folder each.
+fn recall(
+    core: &mut NodeIdentification,
+    structure: &Structure,
+    node: &Name,
+    remembering: &Remembering,
+) -> Result<Keeper, IdentifyError> {
+    let identity = Identity {
+        kind: "node",
+        version: NodeState::VERSION,
+        of: format!("{}/{node}", structure.name()),
+        basis: structure.identification_basis(),
+    };
+    let checkpoints = Checkpoints::open(&remembering.folder.join("nodes").join(node.as_str()), identity)?;
+    if let Some((place, ())) = checkpoints.recall(|state| core.restore(state)) {
+        let (structure, node) = (structure.name(), node.as_str());
+        info!(structure, node, epoch = place.epoch, samples = place.sequence, "goes on from its checkpoint");
+    }
+    Ok(Keeper::new(checkpoints, remembering.every))
 }

@@ -46,6 +46,7 @@ pub mod fault;
 pub mod format;
 mod formats;
 pub mod frame_log;
+mod mcap_record;
 pub mod mcap_writer;
 pub mod quantity;
 mod rate;

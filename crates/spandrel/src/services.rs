@@ -266,9 +266,11 @@ impl Running {
         self.pool = Some(pool.clone());
         let wanted = |name: &str| only.is_empty() || only.iter().any(|wanted| wanted == name);
         for Watched { structure, keys, .. } in watched {
+            let remembering = state.map(|state| state.remembering(keys));
             if structure.fusion().is_some() {
                 for (position, _) in structure.nodes().iter().enumerate().filter(|(_, node)| wanted(node.name())) {
-                    let service = NodeService::start(structure, position, bus, keys, epoch_now(), pool.clone()).await?;
+                    let (epoch, pool, remembering) = (epoch_now(), pool.clone(), remembering.as_ref());
+                    let service = NodeService::start(structure, position, bus, keys, epoch, pool, remembering).await?;
                     let stop = self.identify.stopped();
                     self.identify.tasks.spawn(async move { Ok(service.run(stop).await?) });
                 }
@@ -278,7 +280,6 @@ impl Running {
                 Precedence::Leads => Name::new("identify")?,
                 Precedence::StandsBy => Name::new(format!("identify-{:.8}", bus.instance()?.as_str()))?,
             };
-            let remembering = state.map(|state| state.remembering(keys));
             let (structure, bus, keys, pool) = (structure.clone(), bus.clone(), keys.clone(), pool.clone());
             let (name, stop) = (structure.name().to_owned(), self.identify.stop.subscribe());
             let start = move || {
@@ -303,9 +304,11 @@ impl Running {
     ///
     /// # Errors
     /// When one cannot start.
-    pub async fn start_fuse(&mut self, bus: &Bus, watched: &[Watched]) -> Result<(), AppError> {
+    pub async fn start_fuse(&mut self, bus: &Bus, watched: &[Watched], state: Option<&State>) -> Result<(), AppError> {
         for Watched { structure, keys, .. } in watched.iter().filter(|watched| watched.structure.fusion().is_some()) {
-            let service = FuseService::start(structure, bus, keys.clone(), Name::new("fuse")?, epoch_now()).await?;
+            let (id, remembering) = (Name::new("fuse")?, state.map(|state| state.remembering(keys)));
+            let (keys, epoch) = (keys.clone(), epoch_now());
+            let service = FuseService::start(structure, bus, keys, id, epoch, remembering.as_ref()).await?;
             let stop = self.fuse.stopped();
             self.fuse.tasks.spawn(async move { Ok(service.run(stop).await?) });
         }

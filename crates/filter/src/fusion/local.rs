@@ -119,6 +119,16 @@ pub enum Taken {
     Refused,
 }
 
+/// What a node takes over its own death. Its messages and their answers are not in it: they are of the life that has ended.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LocalState {
+    filter: FilterState,
+    counter: u64,
+    from: Option<u64>,
+    fused: Option<DVector<f64>>,
+    restarts: u64,
+}
+
 /// The filter as it was when the last message was sent, and what has come since.
 #[derive(Debug, Clone)]
 struct Rewind {
@@ -228,6 +238,44 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         if self.filter.replace_parameters(&prior).is_err() {
             self.from = None;
         }
+    }
+
+    /// Returns the state for a checkpoint.
+    #[must_use]
+    pub fn state(&self) -> LocalState {
+        LocalState {
+            filter: self.filter.state().clone(),
+            counter: self.counter,
+            from: self.from,
+            fused: self.fused.clone(),
+            restarts: self.restarts,
+        }
+    }
+
+    /// Goes on from a checkpoint in a new life, whose messages the station does not take for those of the one before.
+    ///
+    /// The station may know of what was learnt by then and after it: nothing is told as learnt until a message of this life has been
+    /// answered.
+    ///
+    /// # Errors
+    /// When the state does not fit the filter; the node is then as it was.
+    pub fn restore(&mut self, state: LocalState) -> Result<(), FilterError> {
+        let LocalState { filter, counter, from, fused, restarts } = state;
+        let expected = self.prior.mean.len();
+        if let Some(found) = fused.as_ref().map(DVector::len).filter(|found| *found != expected) {
+            return Err(FilterError::Dimension { what: "fused means of a checkpoint", found, expected });
+        }
+        self.filter.restore(filter)?;
+        let last = counter / self.settings.steps_per_period;
+        (self.counter, self.last_sent, self.last_answer) = (counter, last, last);
+        // a message of the life before has a name that this station does not know; the prior is one that it does
+        self.from = from.filter(|own| *own > 0);
+        (self.fused, self.restarts) = (fused, restarts);
+        self.sent.clear();
+        self.taken.clear();
+        self.rewind = None;
+        self.shared.iter_mut().for_each(Shared::skip);
+        Ok(())
     }
 
     /// Takes one frame of the node's own observations; a filter that diverges starts anew and the frame is lost.

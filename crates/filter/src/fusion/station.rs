@@ -9,7 +9,7 @@ use super::gaussian::{Gaussian, Information};
 use super::local::{Feedback, FeedbackRule, Lineage, LocalEstimate, base, is_within};
 use crate::error::FilterError;
 use crate::fading::bound_variances_mut;
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
@@ -149,8 +149,15 @@ pub struct Fused {
     pub adopted: bool,
 }
 
+/// What a station takes over its own death: its density, and what it knows of its nodes, without what has come since the last fusion.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StationState {
+    known: Vec<Known>,
+    fused: Information,
+}
+
 /// A node as the station knows it.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Known {
     /// index and density of its last message
     own: Option<(u64, Gaussian)>,
@@ -160,7 +167,8 @@ struct Known {
     answered: VecDeque<Answered>,
     /// index of messages since the one that it last started from, and what it had learnt by each
     counted: VecDeque<(u64, Information)>,
-    /// what has come since the last fusion
+    /// what has come since the last fusion; by the station's clock, which begins anew with each life
+    #[serde(skip)]
     waiting: Option<Waiting>,
     /// fusions in which it has to be regular yet before it is used again, or where weights are graded, before its motion is told
     suspended: u32,
@@ -169,7 +177,7 @@ struct Known {
 }
 
 /// A message of a node that was answered.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Answered {
     index: u64,
     sent: Gaussian,
@@ -177,7 +185,7 @@ struct Answered {
     target: Option<Gaussian>,
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 struct Waiting {
     /// time of the message on the station's clock (fusion periods)
     at: f64,
@@ -295,6 +303,42 @@ impl Station {
             known.counted.clear();
         }
         known.lineage = message.lineage;
+        Ok(())
+    }
+
+    /// Returns the state for a checkpoint, best after a fusion: messages that wait for the next one are not in it.
+    #[must_use]
+    pub fn state(&self) -> StationState {
+        StationState { known: self.known.clone(), fused: self.fused.clone() }
+    }
+
+    /// Takes the state of a checkpoint, with a clock that begins anew: the time from the fusion before it to the next one is that since the
+    /// beginning of the clock.
+    ///
+    /// Messages of nodes that were answered after the checkpoint start from a past that this station does not know, see [`Fused::adopted`].
+    ///
+    /// # Errors
+    /// When the state does not fit the settings; the station is then as it was.
+    pub fn restore(&mut self, state: StationState) -> Result<(), FilterError> {
+        let n = self.settings.prior.mean.len();
+        let fits = |vector: &DVector<f64>, matrix: &DMatrix<f64>| vector.len() == n && matrix.shape() == (n, n);
+        let is_of_structure = |density: &Gaussian| fits(&density.mean, &density.covariance);
+        let all_fit = state.known.iter().all(|known| {
+            let answered = known.answered.iter().flat_map(|answered| [Some(&answered.sent), answered.target.as_ref()]);
+            let own = known.own.as_ref().map(|(_, density)| density);
+            answered.chain([own]).flatten().all(is_of_structure)
+                && known.counted.iter().all(|(_, learnt)| fits(&learnt.vector, &learnt.matrix))
+        });
+        if state.known.len() != self.known.len() {
+            let (found, expected) = (state.known.len(), self.known.len());
+            return Err(FilterError::Dimension { what: "nodes of a checkpoint", found, expected });
+        }
+        if !(all_fit && fits(&state.fused.vector, &state.fused.matrix)) {
+            let found = state.fused.vector.len();
+            return Err(FilterError::Dimension { what: "densities of a checkpoint", found, expected: n });
+        }
+        state.fused.gaussian()?;
+        (self.known, self.fused, self.at) = (state.known, state.fused, None);
         Ok(())
     }
 

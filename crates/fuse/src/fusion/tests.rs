@@ -1,3 +1,5 @@
+mod restarts;
+
 use super::*;
 use spandrel_bus::{ChannelState, LocalDensity, MaskedSpan, NodeHealth, NodeLineage, ScreenedChannel};
 use std::path::Path;

@@ -271,3 +271,82 @@ fn a_message_says_that_it_is_of_no_samples() {
     let sent = run(&mut worker, [NodeInput::Samples(samples(150, 175, Pace::Live))]);
     assert_eq!(sent.iter().map(|message| message.samples).collect::<Vec<_>>(), [0, 0, 25]);
 }
+
+/// A new life of a worker, from what was written of the one before.
+fn next_life(before: &NodeIdentification, mut worker: NodeIdentification) -> NodeIdentification {
+    let bytes = postcard::to_stdvec(&before.state()).unwrap();
+    worker.restore(postcard::from_bytes(&bytes).unwrap()).unwrap();
+    worker
+}
+
+#[test]
+fn a_worker_that_reads_again_what_it_has_missed_knows_what_it_would_have_known() {
+    let mut undisturbed = worker();
+    let first = run(&mut undisturbed, [NodeInput::Samples(samples(0, 40, Pace::Live))]);
+    run(&mut undisturbed, [answer(&first[0]), NodeInput::Samples(samples(40, 60, Pace::Live))]);
+    assert_eq!(undisturbed.position(), Some((1, 60)));
+    let mut again = next_life(&undisturbed, worker());
+    assert_eq!((again.position(), again.epoch()), (Some((1, 60)), 6));
+    let past =
+        run(&mut again, [NodeInput::Past(samples(60, 80, Pace::Live)), NodeInput::Past(samples(80, 110, Pace::Live))]);
+    assert_eq!(past, [], "the station may have heard of it by the life before");
+    let expected = run(&mut undisturbed, [NodeInput::Samples(samples(60, 150, Pace::Live))]);
+    let told = run(&mut again, [NodeInput::Samples(samples(110, 150, Pace::Live))]);
+    let of =
+        |message: &LocalMessage| (message.header.sequence, message.header.time_ns, message.density.clone().unwrap());
+    for (expected, told) in expected[2..].iter().zip(&told) {
+        let ((sequence, time_ns, expected), (told_sequence, told_ns, told)) = (of(expected), of(told));
+        assert_eq!((told_sequence, told_ns), (sequence, time_ns));
+        assert_eq!(
+            (told.mean, told.covariance),
+            (expected.mean, expected.covariance),
+            "message {sequence}, to the bit"
+        );
+        // a name that the station has only heard of in the life before
+        assert_eq!(told.lineage, Some(NodeLineage { own: 1, answers: Vec::new() }));
+    }
+    assert_eq!(told.iter().map(|message| message.header.sequence).collect::<Vec<_>>(), [5, 6]);
+    // and after an answer it tells what it learns from then on
+    run(&mut again, [answer(&told[1])]);
+    let next = run(&mut again, [NodeInput::Samples(samples(150, 175, Pace::Live))]);
+    assert_eq!(next[0].density.as_ref().unwrap().lineage, Some(NodeLineage { own: 6, answers: vec![6] }));
+}
+
+#[test]
+fn what_a_worker_has_missed_for_good_is_a_gap() {
+    let mut first = worker();
+    run(&mut first, [NodeInput::Samples(samples(0, 60, Pace::Live))]);
+    let mut second = next_life(&first, worker());
+    let told = run(&mut second, [NodeInput::Samples(samples(80, 100, Pace::Live))]);
+    assert_eq!(second.dropped()["missing-samples"], 20);
+    let ends: Vec<i64> = told.iter().map(|message| message.header.time_ns / 40_000_000).collect();
+    assert_eq!(ends, [74, 99], "its periods end where they did");
+    assert!(told.iter().all(|message| message.density.as_ref().unwrap().lineage.is_none()), "it was never answered");
+}
+
+#[test]
+fn the_past_waits_for_no_answer() {
+    let mut first = worker();
+    run(&mut first, [NodeInput::Samples(samples(0, 20, Pace::Replayed))]);
+    let mut second = next_life(&first, worker());
+    assert_eq!(run(&mut second, [NodeInput::Past(samples(20, 110, Pace::Replayed))]), []);
+    assert_eq!((second.awaits(), second.position()), (None, Some((1, 110))));
+    let told = run(&mut second, [NodeInput::Samples(samples(110, 130, Pace::Replayed))]);
+    assert_eq!(told.len(), 1);
+    assert_eq!(second.awaits(), Some(5));
+}
+
+#[test]
+fn an_answer_to_the_life_before_is_of_no_use() {
+    let mut first = worker();
+    let sent = run(&mut first, [NodeInput::Samples(samples(0, 25, Pace::Live))]);
+    let mut second = next_life(&first, worker());
+    run(&mut second, [answer(&sent[0])]);
+    assert_eq!(second.dropped()["stale-feedback"], 1);
+}
+
+#[test]
+fn a_state_of_other_channels_is_refused() {
+    let error = worker().restore(screening_worker().state()).unwrap_err().to_string();
+    assert!(error.contains("screened channels of a checkpoint"), "{error}");
+}

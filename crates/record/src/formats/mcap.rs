@@ -13,6 +13,7 @@ use serde_json::Value;
 use super::frames::FrameRows;
 use crate::fault::Fault;
 use crate::frame_log::FRAMES_ENCODING;
+use crate::mcap_record::parse_record;
 use crate::recorded::{RecordedChannel, TimeOrigin};
 
 /// Records and chunks longer than this are refused: a damaged file may claim any length.
@@ -101,7 +102,7 @@ fn each_record(bytes: &[u8], mut take: impl FnMut(usize, Record<'_>) -> Result<(
                 used += given;
             }
             Ok(LinearReadEvent::Record { data, opcode }) => {
-                let record = ::mcap::parse_record(opcode, data)
+                let record = parse_record(opcode, data)
                     .map_err(|error| Fault::at_byte(used, "record", told(&error), "one of MCAP"))?;
                 take(used, record)?;
             }

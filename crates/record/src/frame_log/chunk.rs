@@ -6,6 +6,7 @@ use mcap::records::{Record, op};
 
 use super::layout::{StatedLayout, TOPIC};
 use super::{LoggedFrames, payload};
+use crate::mcap_record::parse_record;
 
 /// Opcode and length before the body of a record.
 pub(super) const RECORD_HEAD_BYTES: u64 = 9;
@@ -48,7 +49,7 @@ pub(super) fn record_head(bytes: &[u8]) -> Option<(u8, u64)> {
 
 /// The content of a chunk from the body of its record; `None` if any bit that matters is not as it was written.
 pub(super) fn chunk_content(body: &[u8]) -> Option<ChunkContent> {
-    let Ok(Record::Chunk { header, data }) = mcap::parse_record(op::CHUNK, body) else { return None };
+    let Ok(Record::Chunk { header, data }) = parse_record(op::CHUNK, body) else { return None };
     let is_whole = header.compression.is_empty()
         && body.len() == CHUNK_HEAD_BYTES + data.len()
         && header.uncompressed_size == data.len() as u64
@@ -63,7 +64,7 @@ pub(super) fn chunk_content(body: &[u8]) -> Option<ChunkContent> {
         let (_, after) = rest.split_at_checked(RECORD_HEAD_BYTES as usize)?;
         let (body, after) = after.split_at_checked(usize::try_from(length).ok()?)?;
         rest = after;
-        match mcap::parse_record(opcode, body).ok()? {
+        match parse_record(opcode, body).ok()? {
             Record::Channel(channel) if channel.topic == TOPIC => {
                 if channel.message_encoding != payload::MESSAGE_ENCODING {
                     return Some(ChunkContent {

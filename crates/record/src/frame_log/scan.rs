@@ -10,6 +10,7 @@ use super::LoggedFrames;
 use super::chunk::{ChunkContent, Entry, RECORD_HEAD_BYTES, append_entries, chunk_content, record_head};
 use super::layout::StatedLayout;
 use crate::RecordError;
+use crate::mcap_record::parse_record;
 
 /// Bytes of the records after the data: opcode, length and body of each.
 const DATA_END_BYTES: u64 = RECORD_HEAD_BYTES + 4;
@@ -173,7 +174,7 @@ impl Pass<'_> {
         if magic != mcap::MAGIC || record_head(footer) != Some((op::FOOTER, FOOTER_BYTES - RECORD_HEAD_BYTES)) {
             return Ok(SegmentEnd::Torn);
         }
-        let parsed = mcap::parse_record(op::FOOTER, &footer[RECORD_HEAD_BYTES as usize..]);
+        let parsed = parse_record(op::FOOTER, &footer[RECORD_HEAD_BYTES as usize..]);
         let Ok(Record::Footer(footer)) = parsed else { return Ok(SegmentEnd::Torn) };
         let (data_ends, end) = match footer.summary_start {
             0 => (footer_at, SegmentEnd::Mended),
@@ -204,7 +205,7 @@ impl Pass<'_> {
 
 /// Whether a message index or a header has the length that its own counts say.
 fn is_as_long_as_stated(opcode: u8, body: &[u8]) -> bool {
-    let stated = match mcap::parse_record(opcode, body) {
+    let stated = match parse_record(opcode, body) {
         Ok(Record::MessageIndex(index)) => 6 + 16 * index.records.len(),
         Ok(Record::Header(header)) => 8 + header.profile.len() + header.library.len(),
         _ => return false,

@@ -54,7 +54,7 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
             None => None,
         };
         running.start_alert(&bus, &watched, None).await?;
-        running.start_fuse(&bus, &watched).await?;
+        running.start_fuse(&bus, &watched, None).await?;
         running.start_identify(&bus, &watched, settings.threads, Share::ALL, None).await?;
         if watched.iter().any(|watched| watched.structure.fusion().is_none()) {
             running.start_ingest(&bus, &watched, None).await?;

@@ -116,7 +116,7 @@ impl Plan {
         }
         settings.notify.check()?;
         let served = if services.dashboard { settings.dashboard.page(page)? } else { None };
-        let remembers = services.ingest || services.identify || services.alert || services.notify;
+        let remembers = services.ingest || services.identify || services.fuse || services.alert || services.notify;
         let state = if remembers { settings.state.state()? } else { None };
         Ok(Self { settings, watched, served, database, state })
     }
@@ -168,7 +168,7 @@ impl Plan {
             running.start_alert(bus, watched, state.as_ref()).await?;
         }
         if services.fuse {
-            running.start_fuse(bus, watched).await?;
+            running.start_fuse(bus, watched, state.as_ref()).await?;
         }
         if services.identify {
             running.start_identify(bus, watched, settings.threads, share, state.as_ref()).await?;

@@ -1,3 +1,5 @@
+mod restarts;
+
 use super::*;
 use crate::extended::{ExtendedKalmanFilter, FilterSettings, Frame};
 use crate::fading::FadingFactor;

@@ -1,0 +1,119 @@
+//! Keeps states in the background: a service waits for no disk while it works.
+
+use crate::error::CheckpointError;
+use crate::series::{Checkpoints, Place};
+use serde::Serialize;
+use std::time::Duration;
+use tokio::task::JoinHandle;
+use tokio::time::Instant;
+use tracing::warn;
+
+/// Keeps the states of a service, one at a time, on a thread that may wait for the disk.
+///
+/// A failure is told each time their count has doubled, and the next state is tried again.
+#[derive(Debug)]
+pub struct Keeper {
+    checkpoints: Checkpoints,
+    every: Duration,
+    last: Instant,
+    saving: Option<JoinHandle<Result<(), CheckpointError>>>,
+    failures: u64,
+}
+
+impl Keeper {
+    /// Keeps states among these checkpoints, with so much time between two of them.
+    #[must_use]
+    pub fn new(checkpoints: Checkpoints, every: Duration) -> Self {
+        Self { checkpoints, every, last: Instant::now(), saving: None, failures: 0 }
+    }
+
+    /// The checkpoints.
+    #[must_use]
+    pub fn checkpoints(&self) -> &Checkpoints {
+        &self.checkpoints
+    }
+
+    /// Whether it is time for a state, and the one before it is on the disk.
+    #[must_use]
+    pub fn is_due(&self) -> bool {
+        self.last.elapsed() >= self.every && self.saving.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+
+    /// Begins to keep a state, when the one before it is on the disk; of those before, `needed` is kept as in
+    /// [`Checkpoints::forget_before`].
+    pub async fn keep<T: Serialize + Send + 'static>(&mut self, place: Place, state: T, needed: Option<Place>) {
+        self.finish().await;
+        self.last = Instant::now();
+        let checkpoints = self.checkpoints.clone();
+        self.saving = Some(tokio::task::spawn_blocking(move || {
+            checkpoints.save(place, &state)?;
+            checkpoints.forget_before(needed)
+        }));
+    }
+
+    /// Waits for what is being kept.
+    pub async fn finish(&mut self) {
+        let Some(saving) = self.saving.take() else {
+            return;
+        };
+        if let Ok(Err(error)) = saving.await {
+            self.failures += 1;
+            if self.failures.is_power_of_two() {
+                warn!(%error, failures = self.failures, "checkpoint not kept: a crash now would cost more");
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::envelope::Identity;
+    use std::path::Path;
+
+    fn keeper(folder: &Path, every: Duration) -> Keeper {
+        let identity = Identity { kind: "fuse", version: 1, of: "tower".into(), basis: String::new() };
+        Keeper::new(Checkpoints::open(folder, identity).unwrap(), every)
+    }
+
+    fn at(sequence: u64) -> Place {
+        Place { epoch: 1, sequence }
+    }
+
+    #[tokio::test]
+    async fn the_last_two_states_are_on_the_disk() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut keeper = keeper(folder.path(), Duration::ZERO);
+        for sequence in 1..=3_u64 {
+            keeper.keep(at(sequence), sequence, None).await;
+        }
+        keeper.finish().await;
+        assert!(keeper.is_due());
+        assert_eq!(keeper.checkpoints().places().unwrap(), [at(2), at(3)]);
+        assert_eq!(keeper.checkpoints().load_latest::<u64>().found, Some((at(3), 3)));
+    }
+
+    #[tokio::test]
+    async fn nothing_is_due_before_its_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut keeper = keeper(folder.path(), Duration::from_secs(3600));
+        assert!(!keeper.is_due());
+        keeper.keep(at(1), 1_u64, None).await;
+        keeper.finish().await;
+        assert!(!keeper.is_due());
+    }
+
+    #[tokio::test]
+    async fn a_state_that_cannot_be_kept_leaves_the_one_before_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut keeper = keeper(&folder.path().join("below"), Duration::ZERO);
+        keeper.keep(at(1), 1_u64, None).await;
+        keeper.finish().await;
+        // a folder in its way: the file cannot be renamed to its place
+        std::fs::create_dir(folder.path().join("below").join(format!("fuse-{:020}-{:020}.checkpoint", 1, 2))).unwrap();
+        keeper.keep(at(2), 2_u64, None).await;
+        keeper.finish().await;
+        assert_eq!(keeper.failures, 1);
+        assert_eq!(keeper.checkpoints().recall::<u64, _, CheckpointError>(Ok), Some((at(1), 1)));
+    }
+}

@@ -1,0 +1,233 @@
+//! Lives that end, of the station and of its nodes: what was known goes on, and nothing is counted twice.
+
+use super::*;
+use crate::fusion::{LocalState, StationState};
+use serde::de::DeserializeOwned;
+
+/// What comes back of a state that was written.
+fn kept<T: Serialize + DeserializeOwned>(state: &T) -> T {
+    postcard::from_bytes(&postcard::to_stdvec(state).unwrap()).unwrap()
+}
+
+fn independent(nodes: usize, feedback: FeedbackRule) -> Station {
+    station(nodes, FusionRule::PriorCorrect(Sharing::Nothing), feedback)
+}
+
+/// What four nodes and a station find in twelve periods, where the station is one that was restored after each of these.
+fn found(is_restarted: impl Fn(u64) -> bool) -> Vec<Fused> {
+    let mut nodes = ROWS.map(|row| node(row, FeedbackRule::Marginal));
+    let mut central = independent(4, FeedbackRule::Marginal);
+    let (mut begun, mut found) = (0, Vec::new());
+    for step in 0..12 * PERIOD {
+        for (k, node) in nodes.iter_mut().enumerate() {
+            node.step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+        }
+        if !(step + 1).is_multiple_of(PERIOD) {
+            continue;
+        }
+        let period = (step + 1) / PERIOD;
+        let at = (period - begun) as f64;
+        for (k, node) in nodes.iter_mut().enumerate() {
+            central.receive(k, node.report(), at).unwrap();
+        }
+        let fused = central.fuse(at);
+        for (node, answer) in nodes.iter_mut().zip(&fused.feedback) {
+            assert_eq!(node.take(answer.as_ref().unwrap()), Taken::Applied);
+        }
+        found.push(fused);
+        if is_restarted(period) {
+            let state = kept(&central.state());
+            central = independent(4, FeedbackRule::Marginal);
+            central.restore(state).unwrap();
+            begun = period;
+        }
+    }
+    found
+}
+
+#[test]
+fn a_station_that_is_restored_after_any_fusion_goes_on_to_the_bit() {
+    let undisturbed = found(|_| false);
+    assert_eq!(found(|period| period.is_multiple_of(3)), undisturbed);
+    assert_eq!(found(|_| true), undisturbed);
+}
+
+#[test]
+fn a_state_of_other_sizes_is_refused_and_changes_nothing() {
+    let mut central = independent(4, FeedbackRule::Marginal);
+    let before = central.state();
+    let refused = |result: Result<(), FilterError>| matches!(result, Err(FilterError::Dimension { .. }));
+    assert!(refused(central.restore(independent(3, FeedbackRule::Marginal).state())));
+    let longer = Gaussian { mean: DVector::zeros(3), covariance: DMatrix::identity(3, 3) };
+    let mut of_three = before.clone();
+    of_three.fused = longer.information().unwrap();
+    assert!(refused(central.restore(of_three)));
+    let mut of_three = before.clone();
+    of_three.known[2].own = Some((1, longer));
+    assert!(refused(central.restore(of_three)));
+    let mut flat = before.clone();
+    flat.fused.matrix.fill(0.0);
+    assert!(central.restore(flat).is_err());
+    assert_eq!(central.state(), before);
+}
+
+/// When who dies and comes back: steps, of which one that is never reached stands for never.
+#[derive(Clone, Copy)]
+struct Lives {
+    /// before which step the states of the nodes are kept, and after which period that of the station
+    node_kept: u64,
+    station_kept: u64,
+    /// steps in which the second node, both nodes, and the station are away
+    second: (u64, u64),
+    first: (u64, u64),
+    station: (u64, u64),
+}
+
+const NEVER: (u64, u64) = (u64::MAX, u64::MAX);
+
+/// Two nodes that learn independently for sixty periods; returns the fused covariance of each fusion, and that of the filter that has all data.
+fn survived(feedback: FeedbackRule, lives: Lives) -> Vec<(u64, DMatrix<f64>, DMatrix<f64>)> {
+    let is_away = |(from, to): (u64, u64), step: u64| (from..to).contains(&step);
+    let mut nodes = [node(ROWS[0], feedback), node(ROWS[1], feedback)];
+    let mut central = independent(2, feedback);
+    let mut centralised = Centralised(prior().information().unwrap());
+    let mut states: Option<[LocalState; 2]> = None;
+    let mut station_state: Option<StationState> = None;
+    let (mut begun, mut found) = (0, Vec::new());
+    for step in 0..60 * PERIOD {
+        centralised.step(step, &ROWS[..2]);
+        if step == lives.node_kept {
+            states = Some([kept(&nodes[0].state()), kept(&nodes[1].state())]);
+        }
+        for (k, away) in [lives.first, lives.second].into_iter().enumerate() {
+            if step == away.1 {
+                let mut anew = node(ROWS[k], feedback);
+                anew.restore(states.as_ref().unwrap()[k].clone()).unwrap();
+                // what its sensor still has is filtered again, and nothing told of it
+                for missed in lives.node_kept..step {
+                    anew.step(Frame { observations: &[datum(k, missed, ROWS[k])], excitation: &[] }).unwrap();
+                    if anew.is_due() {
+                        drop(anew.report());
+                    }
+                }
+                central.forget(k);
+                nodes[k] = anew;
+            }
+            if !is_away(away, step) {
+                nodes[k].step(Frame { observations: &[datum(k, step, ROWS[k])], excitation: &[] }).unwrap();
+            }
+        }
+        if step == lives.station.1 {
+            central = independent(2, feedback);
+            central.restore(station_state.take().unwrap()).unwrap();
+            for (k, away) in [lives.first, lives.second].into_iter().enumerate() {
+                if away != NEVER {
+                    central.forget(k);
+                }
+            }
+            begun = lives.station_kept; // as if its clock had gone on: what is counted twice must not hide behind what has not faded
+        }
+        if !(step + 1).is_multiple_of(PERIOD) {
+            continue;
+        }
+        let period = (step + 1) / PERIOD;
+        let at = (period - begun) as f64;
+        for (k, away) in [lives.first, lives.second].into_iter().enumerate() {
+            if !is_away(away, step) {
+                let report = nodes[k].report();
+                if !is_away(lives.station, step) {
+                    central.receive(k, report, at).unwrap();
+                }
+            }
+        }
+        if is_away(lives.station, step) {
+            continue;
+        }
+        let fused = central.fuse(at);
+        for (node, answer) in nodes.iter_mut().zip(&fused.feedback) {
+            if let Some(answer) = answer {
+                assert_eq!(node.take(answer), Taken::Applied, "period {period}");
+            }
+        }
+        if period == lives.station_kept {
+            station_state = Some(kept(&central.state()));
+        }
+        found.push((period, fused.parameters.covariance, centralised.0.gaussian().unwrap().covariance));
+    }
+    found
+}
+
+/// Never surer than the data of both allow, and never less than what was kept after the fusion of a period, when it has faded.
+#[track_caller]
+fn assert_sound(case: &str, kept: u64, found: &[(u64, DMatrix<f64>, DMatrix<f64>)]) {
+    let (_, known, _) = found.iter().find(|(period, ..)| *period == kept).unwrap();
+    for (period, fused, all) in found {
+        let least = (fused - all).symmetric_eigen().eigenvalues.min();
+        assert!(least > -1e-9, "{case}, period {period}: counted twice, {least:e}");
+        if *period > kept {
+            let faded = fading().value().powf(((period - kept) * PERIOD) as f64);
+            let share = fused.diagonal().component_div(&known.diagonal()).mean() / faded;
+            assert!(share < 1.0 + 1e-9, "{case}, period {period}: variances are {share:.3} times what they were");
+        }
+    }
+}
+
+const AFTER: u64 = 24 * PERIOD + 2;
+const BACK: u64 = 25 * PERIOD + 1;
+
+#[test]
+fn a_node_that_goes_on_from_its_checkpoint_counts_nothing_twice() {
+    for feedback in [FeedbackRule::Marginal, FeedbackRule::Federated, FeedbackRule::None, FeedbackRule::Mean] {
+        for node_kept in [AFTER, 22 * PERIOD, 20 * PERIOD + 3] {
+            let lives = Lives { node_kept, station_kept: 0, second: (AFTER, BACK), first: NEVER, station: NEVER };
+            assert_sound(&format!("{feedback:?}, state of step {node_kept}"), 24, &survived(feedback, lives));
+        }
+    }
+}
+
+#[test]
+fn a_station_that_goes_on_from_its_checkpoint_counts_nothing_twice() {
+    for feedback in [FeedbackRule::Marginal, FeedbackRule::Federated, FeedbackRule::None, FeedbackRule::Mean] {
+        for station_kept in [24, 20] {
+            let lives =
+                Lives { node_kept: u64::MAX, station_kept, second: NEVER, first: NEVER, station: (AFTER, BACK) };
+            assert_sound(
+                &format!("{feedback:?}, state of period {station_kept}"),
+                station_kept,
+                &survived(feedback, lives),
+            );
+        }
+    }
+}
+
+#[test]
+fn a_station_and_nodes_that_die_together_go_on_from_what_they_knew() {
+    for feedback in [FeedbackRule::Marginal, FeedbackRule::Federated, FeedbackRule::None, FeedbackRule::Mean] {
+        for (node_kept, station_kept) in [(20 * PERIOD + 3, 24), (AFTER, 20), (22 * PERIOD, 22)] {
+            let away = (AFTER, BACK);
+            let lives = Lives { node_kept, station_kept, second: away, first: away, station: away };
+            let case = format!("{feedback:?}, states of step {node_kept} and period {station_kept}");
+            assert_sound(&case, station_kept, &survived(feedback, lives));
+        }
+    }
+}
+
+#[test]
+fn a_node_whose_messages_were_never_answered_tells_nothing_as_learnt_in_its_next_life() {
+    let mut first = node(ROWS[0], FeedbackRule::Marginal);
+    for step in 0..PERIOD {
+        first.step(Frame { observations: &[datum(0, step, ROWS[0])], excitation: &[] }).unwrap();
+    }
+    assert_eq!(
+        first.report().lineage,
+        Some(Lineage { own: 0, answers: Vec::new() }),
+        "since the prior, which all share"
+    );
+    let mut second = node(ROWS[0], FeedbackRule::Marginal);
+    second.restore(kept(&first.state())).unwrap();
+    for step in PERIOD..2 * PERIOD {
+        second.step(Frame { observations: &[datum(0, step, ROWS[0])], excitation: &[] }).unwrap();
+    }
+    let message = second.report();
+    assert_eq!((message.index, message.lineage), (2, None));
+}
