@@ -5,7 +5,7 @@
 //! numbers.
 
 use crate::error::FuseError;
-use crate::node::Node;
+use crate::node::{Node, SILENT_FUSIONS};
 use spandrel_bus::{
     Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FeedbackMessage, Header, LocalMessage, MotionNumbers,
     Name, NodeDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, StreamState, ToldMotion,
@@ -90,8 +90,10 @@ pub struct Fusion {
     ended: bool,
     /// a node has been there at some time, and none is now
     deserted: bool,
-    /// nodes were used in the last fusion
+    /// it has not been told that there is nothing to fuse, or that there is again
     healthy: bool,
+    /// fusions on end in which nothing could be used
+    without: u64,
     /// what nodes send and are sent of a covariance
     variances: bool,
     /// by node, exponents of the units of its samples; none where none are told
@@ -136,6 +138,7 @@ impl Fusion {
             ended: false,
             deserted: false,
             healthy: true,
+            without: 0,
             variances: plan.sends_variances(),
             told_units: (0..structure.nodes().len()).map(|node| structure.told_units(node)).collect(),
         })
@@ -453,13 +456,17 @@ impl Fusion {
                 ("the station takes over what the nodes know", "they have been fused by a station before this one");
             self.tell(EventKind::Restart, "fuse", what, why.to_owned(), time_ns, outputs);
         }
-        let healthy = fused.used > 0;
-        if healthy != self.healthy {
-            self.healthy = healthy;
-            let (kind, what, why) = match healthy {
-                false => (EventKind::Gap, "nothing to fuse", "no node has sent anything that could be used"),
-                true => (EventKind::NodeBack, "nodes are fused again", "something has come that can be used"),
-            };
+        // as of a node: messages that come a period late, all of them, are no gap
+        self.without = if fused.used > 0 { 0 } else { self.without + 1 };
+        let told = match (self.healthy, self.without) {
+            (true, SILENT_FUSIONS..) => {
+                Some((EventKind::Gap, "nothing to fuse", "no node has sent anything that could be used"))
+            }
+            (false, 0) => Some((EventKind::NodeBack, "nodes are fused again", "something has come that can be used")),
+            (true, _) | (false, _) => None,
+        };
+        if let Some((kind, what, why)) = told {
+            self.healthy = !self.healthy;
             self.tell(kind, "fuse", what, why.to_owned(), time_ns, outputs);
         }
     }

@@ -12,7 +12,7 @@ const OFTEN: f64 = 0.5;
 const SHARE_MEMORY: f64 = 20.0;
 
 /// A node is worth an event once so many fusions on end had nothing of it: a message that was lost or is late is soon made up for.
-const SILENT_FUSIONS: u64 = 3;
+pub(crate) const SILENT_FUSIONS: u64 = 3;
 
 /// A node as the station knows it. What is left out of a checkpoint is of one life of the station.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
