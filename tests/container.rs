@@ -73,7 +73,9 @@ fn the_command_of_the_image_starts_with_its_files_and_stops_in_order() {
     std::fs::create_dir(&state).unwrap();
     assert_eq!(words(&all("ENTRYPOINT")[0]), ["/usr/local/bin/spandrel"]);
     assert_eq!(all("STOPSIGNAL"), ["SIGTERM"]);
-    assert_eq!(all("ENV"), [format!("STATE_DIRECTORY={}", all("VOLUME")[0])]);
+    let unit = std::fs::read_to_string(root().join("deploy/spandrel.service")).unwrap();
+    let of_allocator = unit.lines().find_map(|line| line.strip_prefix("Environment=")).expect("what the unit sets");
+    assert_eq!(all("ENV"), [format!("STATE_DIRECTORY={}", all("VOLUME")[0]), of_allocator.to_owned()]);
     let here = |word: &String| word.replace(CONFIGURATION, &format!("{}/", folder.path().display()));
     let arguments: Vec<String> = words(&all("CMD")[0]).iter().map(here).collect();
     let mut command = spandrel(&arguments[0]);

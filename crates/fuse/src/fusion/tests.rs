@@ -114,13 +114,27 @@ fn live_nodes_are_fused_at_the_ticks_with_what_has_come() {
     assert!(outputs.is_empty());
     let outputs = run(&mut fusion, [Input::Tick(SECOND_NS + SECOND_NS / 2), Input::Tick(2 * SECOND_NS)]);
     assert_eq!(estimates(&outputs).len(), 1);
-    // nothing more has come: what is known fades, and an event says so once
+    // nothing more has come: what is known fades; that all are a period late is no event
+    let told = |outputs: &[Output]| -> Vec<EventKind> {
+        let of_station = |output: &Output| match output {
+            Output::Event(event) if event.subject == "fuse" => Some(event.kind),
+            _ => None,
+        };
+        outputs.iter().filter_map(of_station).collect()
+    };
     let outputs = run(&mut fusion, [Input::Tick(3 * SECOND_NS), Input::Tick(4 * SECOND_NS)]);
     let blocks = estimates(&outputs);
     assert_eq!(blocks.len(), 2);
     assert!(blocks.iter().all(|block| block.estimates[0].flags.prediction_only));
-    let of_station = |output: &&Output| matches!(output, Output::Event(event) if event.subject == "fuse");
-    assert_eq!(outputs.iter().filter(of_station).count(), 1);
+    assert_eq!(told(&outputs), []);
+    // three on end are one, told once, and so is that something comes again
+    let outputs = run(&mut fusion, (5..9).map(|second| Input::Tick(second * SECOND_NS)));
+    assert_eq!(told(&outputs), [EventKind::Gap]);
+    let again = (0..9).map(|node| local(node, message(3, 9, Pace::Live, 0.95)));
+    let outputs =
+        run(&mut fusion, again.chain([Input::Tick(9 * SECOND_NS + SECOND_NS / 2), Input::Tick(10 * SECOND_NS)]));
+    // these nodes have taken no answer, so that the station takes over what they know
+    assert_eq!(told(&outputs), [EventKind::Restart, EventKind::NodeBack]);
 }
 
 #[test]
