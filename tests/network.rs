@@ -216,10 +216,9 @@ fn now_s() -> f64 {
     now.duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
 }
 
-// the clock of floor-1 is ahead and fast, that of floor-4 behind and slow
-
 #[tokio::test(flavor = "multi_thread")]
 async fn estimates_outside_disturbed_spans_are_those_of_an_undisturbed_network() {
+    // the clock of floor-1 is ahead and fast, that of floor-4 behind and slow
     let clocks = "clock-offsets-s = { floor-1 = 0.02, floor-4 = -0.02 }\n\
                   clock-drifts-ppm = { floor-1 = 50, floor-4 = -50 }\n";
     disturb("", clocks).await;

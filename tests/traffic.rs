@@ -33,7 +33,7 @@ const COUNTED_S: f64 = 30.0;
 /// Payload is that of the table within this share: the numbers of messages, with more digits, and times take a few bytes.
 const PAYLOAD_WITHIN: f64 = 0.01;
 /// And bytes on the wire within this one: acknowledgements and keep-alives come as the machine has time for them.
-const WIRE_WITHIN: f64 = 0.1;
+const WIRE_WITHIN: f64 = 0.05;
 
 /// An example with a node, the published number of modes, and the published share of the raw samples.
 struct Example {

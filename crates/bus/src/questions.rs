@@ -42,11 +42,9 @@ impl Bus {
 
 impl Questions {
     /// Waits for the next query; safe to drop while waiting. None once the session is closed.
-    pub fn next<'a>(&'a self) -> BoxedFuture<'a, Option<Question>> {
-        Box::pin(async move {
-            let query = self.queries.recv_async().await.ok()?;
-            Some(Question { query })
-        })
+    pub async fn next(&self) -> Option<Question> {
+        let query = self.queries.recv_async().await.ok()?;
+        Some(Question { query })
     }
 }
 
