@@ -78,8 +78,11 @@ impl Lab {
         let plain = spandrel(subcommand);
         let mut command = self.inside(name);
         command.arg(plain.get_program()).args(plain.get_args());
-        for (variable, _) in plain.get_envs() {
-            command.env_remove(variable);
+        for (variable, value) in plain.get_envs() {
+            match value {
+                Some(value) => command.env(variable, value),
+                None => command.env_remove(variable),
+            };
         }
         command
     }

@@ -93,6 +93,6 @@ pub use range::{QueryRange, RangeError};
 pub use ring::{Answer, Forget, NotConsecutive, Ring};
 pub use session::{AROUND_THE_PAYLOAD, Bus, BusConfig, DEFAULT_ENDPOINT, Mode};
 pub use span::{SpanError, SpanQuery, TIMES, time_ns};
-pub use stream::{Stream, StreamCounts, StreamSettings};
+pub use stream::{Check, Reading, Stream, StreamCounts, StreamGroup, StreamSettings};
 pub use subscribe::Subscription;
 pub use tls::{AUTHORITY_FILE, TlsConfig, TlsError, read_pair};

@@ -3,7 +3,9 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use tokio::sync::watch;
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
+use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Sample, SampleKind};
@@ -34,8 +36,81 @@ impl LiveToken {
 /// The tokens that match a key expression, as they come and go.
 #[derive(Debug)]
 pub struct LiveWatch {
-    present: watch::Receiver<BTreeSet<String>>,
+    present: watch::Receiver<Presence>,
     _subscriber: Subscriber<()>,
+    doubts: JoinHandle<()>,
+}
+
+impl Drop for LiveWatch {
+    fn drop(&mut self) {
+        self.doubts.abort();
+    }
+}
+
+/// How long a token that may be gone is asked for before it is asked for again.
+const DOUBT: Duration = Duration::from_secs(2);
+
+/// The tokens that are there.
+///
+/// Zenoh tells a new watch of the tokens that its session knows already on a task of its own, and of those that go meanwhile
+/// on another: a token can be said to have come after it was said to have gone, and would then be there for ever.
+#[derive(Clone, Debug, Default)]
+struct Presence {
+    tokens: BTreeSet<String>,
+    /// Said to have gone before they were said to have come.
+    gone_before: BTreeSet<String>,
+}
+
+impl Presence {
+    /// A token is said to be there; returns whether that is to be doubted.
+    fn comes(&mut self, key: &str) -> bool {
+        self.tokens.insert(key.to_owned());
+        self.gone_before.remove(key)
+    }
+
+    fn goes(&mut self, key: &str) {
+        if !self.tokens.remove(key) {
+            self.gone_before.insert(key.to_owned());
+        }
+    }
+
+    /// A token in doubt is not there.
+    fn was_gone(&mut self, key: &str) {
+        self.tokens.remove(key);
+    }
+}
+
+/// Asks for the tokens in doubt, one at a time, until the network has said whether they are there.
+async fn settle_doubts(
+    session: Session,
+    presence: watch::Sender<Presence>,
+    mut doubtful: mpsc::UnboundedReceiver<String>,
+) {
+    while let Some(key) = doubtful.recv().await {
+        loop {
+            match is_there(&session, &key).await {
+                Some(true) => break,
+                Some(false) => {
+                    presence.send_modify(|presence| presence.was_gone(&key));
+                    break;
+                }
+                None => tokio::time::sleep(DOUBT).await,
+            }
+        }
+    }
+}
+
+/// Whether the network knows of a token; `None` when somebody did not answer in time.
+async fn is_there(session: &Session, key: &str) -> Option<bool> {
+    let replies = session.liveliness().get(key).timeout(DOUBT).await.ok()?;
+    let mut all_answered = true;
+    while let Ok(reply) = replies.recv_async().await {
+        match reply.result() {
+            Ok(_) => return Some(true),
+            Err(_timeout) => all_answered = false,
+        }
+    }
+    all_answered.then_some(false)
 }
 
 impl Bus {
@@ -83,24 +158,31 @@ impl Bus {
     /// Zenoh refuses the key expression, or the session is closed.
     pub fn watch_live<'a>(&'a self, key_expression: String) -> BoxedFuture<'a, Result<LiveWatch, BusError>> {
         Box::pin(async move {
-            let (changes, present) = watch::channel(BTreeSet::new());
+            let (changes, present) = watch::channel(Presence::default());
+            let (doubt, doubtful) = mpsc::unbounded_channel();
+            let told = changes.clone();
             let declared = self
                 .session()
                 .liveliness()
                 .declare_subscriber(key_expression.clone())
                 .history(true)
                 .callback(move |sample: Sample| {
-                    let key = sample.key_expr().to_string();
-                    changes.send_modify(|present| {
-                        match sample.kind() {
-                            SampleKind::Put => present.insert(key),
-                            SampleKind::Delete => present.remove(&key),
-                        };
+                    let key = sample.key_expr().as_str();
+                    told.send_modify(|presence| match sample.kind() {
+                        SampleKind::Put => {
+                            if presence.comes(key) {
+                                let _ = doubt.send(key.to_owned()); // the watch is over
+                            }
+                        }
+                        SampleKind::Delete => presence.goes(key),
                     });
                 })
                 .await;
             match declared {
-                Ok(subscriber) => Ok(LiveWatch { present, _subscriber: subscriber }),
+                Ok(subscriber) => {
+                    let doubts = tokio::spawn(settle_doubts(self.session().clone(), changes, doubtful));
+                    Ok(LiveWatch { present, _subscriber: subscriber, doubts })
+                }
                 Err(source) => Err(BusError::Declare { key: key_expression, source }),
             }
         })
@@ -111,7 +193,7 @@ impl LiveWatch {
     /// The keys of the tokens that are there now.
     #[must_use]
     pub fn present(&self) -> BTreeSet<String> {
-        self.present.borrow().clone()
+        self.present.borrow().tokens.clone()
     }
 
     /// Waits until a token comes or goes, then returns those that are there.
@@ -122,12 +204,12 @@ impl LiveWatch {
         if closed {
             std::future::pending().await // nothing changes any more
         }
-        self.present.borrow_and_update().clone()
+        self.present.borrow_and_update().tokens.clone()
     }
 
     /// Waits until at least one token is there.
     pub async fn some(&mut self) {
-        let closed = self.present.wait_for(|present| !present.is_empty()).await.is_err();
+        let closed = self.present.wait_for(|present| !present.tokens.is_empty()).await.is_err();
         if closed {
             std::future::pending().await
         }
@@ -136,6 +218,25 @@ impl LiveWatch {
     /// Waits until no token is there.
     pub async fn none(&mut self) {
         // A closed session has no tokens either.
-        let _ = self.present.wait_for(BTreeSet::is_empty).await;
+        let _ = self.present.wait_for(|present| present.tokens.is_empty()).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Presence;
+
+    #[test]
+    fn a_token_that_comes_after_it_has_gone_is_doubted_once() {
+        let mut presence = Presence::default();
+        assert!(!presence.comes("one"));
+        presence.goes("one");
+        assert!(!presence.comes("one"), "it is back");
+        presence.goes("two");
+        assert!(presence.comes("two"));
+        assert!(presence.tokens.contains("two"), "until it is known to be gone");
+        presence.was_gone("two");
+        assert!(presence.tokens.iter().eq(["one"]));
+        assert!(!presence.comes("two"), "it is there after all");
     }
 }

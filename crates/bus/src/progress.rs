@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio::task::JoinSet;
+use tokio::time::timeout;
 use tracing::{debug, warn};
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::Sample;
@@ -18,8 +19,12 @@ use crate::session::Bus;
 
 /// A progress message may be dropped, so the last one is repeated.
 const REPEAT: Duration = Duration::from_millis(500);
+/// At least so long between two of them, but for great steps: sources look a window of thousands of frames ahead.
+const PAUSE: Duration = Duration::from_millis(200);
+/// Frames that make a great step: many of them fit into the window of a source.
+const STEP: u64 = 256;
 
-/// Puts the progress of a service: at once when it changes, and again while it does not.
+/// Puts the progress of a service: soon after it changes, and again while it does not.
 #[derive(Debug)]
 pub struct ProgressPublisher {
     source: String,
@@ -76,16 +81,32 @@ impl Bus {
 async fn repeat(publisher: DisplayPublisher<Progress>, mut changes: watch::Receiver<Option<Progress>>) {
     loop {
         let progress = changes.borrow_and_update().clone();
-        if let Some(progress) = progress
-            && let Err(error) = publisher.put(&progress).await
+        if let Some(progress) = &progress
+            && let Err(error) = publisher.put(progress).await
         {
             warn!(%error, "progress not put");
             return;
         }
-        tokio::select! {
-            changed = changes.changed() => if changed.is_err() { return },
-            () = tokio::time::sleep(REPEAT) => {}
+        let great_step = changes.wait_for(|now| is_great_step(progress.as_ref(), now.as_ref()));
+        match timeout(PAUSE, great_step).await {
+            Ok(Ok(_)) => continue,
+            Ok(Err(_nobody_sets_it)) => return,
+            Err(_elapsed) => {}
         }
+        if *changes.borrow() == progress {
+            match timeout(REPEAT - PAUSE, changes.changed()).await {
+                Ok(Err(_nobody_sets_it)) => return,
+                Ok(Ok(())) | Err(_) => {}
+            }
+        }
+    }
+}
+
+fn is_great_step(from: Option<&Progress>, to: Option<&Progress>) -> bool {
+    match (from, to) {
+        (_, None) => false,
+        (None, Some(_)) => true,
+        (Some(from), Some(to)) => from.header.epoch != to.header.epoch || to.done.abs_diff(from.done) >= STEP,
     }
 }
 

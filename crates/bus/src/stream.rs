@@ -7,8 +7,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use futures_util::StreamExt;
+use futures_util::stream::FuturesUnordered;
+use tokio::sync::mpsc;
 use tokio::task::JoinSet;
-use tokio::time::sleep;
+use tokio::time::{Instant, sleep};
 use tracing::warn;
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::Sample;
@@ -115,11 +118,48 @@ impl StreamCounts {
 #[derive(Debug)]
 pub struct Stream<B> {
     deliveries: flume::Receiver<Delivery<B>>,
+    source: Source,
+    _reading: JoinSet<()>,
+}
+
+/// Several lossless streams that are read by one task into one queue; reading ends when this is dropped.
+///
+/// Blocks of sources that measure together come together: they wake their readers once, not each its own.
+#[derive(Debug)]
+pub struct StreamGroup<B> {
+    deliveries: mpsc::Receiver<(usize, Delivery<B>)>,
+    sources: Vec<Source>,
+    _reading: JoinSet<()>,
+}
+
+/// A stream to read.
+pub struct Reading<B> {
+    /// Key of the blocks.
+    pub key: String,
+    /// Key on which missing items are asked for.
+    pub buffer_key: String,
+    /// How to read.
+    pub settings: StreamSettings,
+    /// Says why a block does not fit, if it does not: it is counted under that reason, and changes nothing, whatever its epoch and
+    /// numbers say.
+    pub check: Check<B>,
+}
+
+/// What Zenoh hands over of one stream, and what is counted of it.
+#[derive(Debug)]
+struct Source {
     counts: Arc<Mutex<StreamCounts>>,
     overflowed: Arc<AtomicU64>,
     flooded: Arc<AtomicU64>,
     _subscriber: Subscriber<()>,
-    _reading: JoinSet<()>,
+}
+
+impl Source {
+    fn counts(&self) -> StreamCounts {
+        let counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        let load = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        StreamCounts { overflowed: load(&self.overflowed), flooded: load(&self.flooded), ..counts.clone() }
+    }
 }
 
 impl<B: Block> Stream<B> {
@@ -134,9 +174,24 @@ impl<B: Block> Stream<B> {
     /// What has been counted so far.
     #[must_use]
     pub fn counts(&self) -> StreamCounts {
-        let counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
-        let load = |count: &AtomicU64| count.load(Ordering::Relaxed);
-        StreamCounts { overflowed: load(&self.overflowed), flooded: load(&self.flooded), ..counts.clone() }
+        self.source.counts()
+    }
+}
+
+impl<B: Block> StreamGroup<B> {
+    /// Waits for the next item of any stream, and says of which; safe to drop while waiting. `None` never comes while this exists.
+    pub async fn next(&mut self) -> Option<(usize, Delivery<B>)> {
+        self.deliveries.recv().await
+    }
+
+    /// The next item, if one is there.
+    pub fn next_now(&mut self) -> Option<(usize, Delivery<B>)> {
+        self.deliveries.try_recv().ok()
+    }
+
+    /// What has been counted so far, by stream.
+    pub fn counts(&self) -> impl Iterator<Item = StreamCounts> + '_ {
+        self.sources.iter().map(Source::counts)
     }
 }
 
@@ -166,9 +221,45 @@ impl Bus {
         settings: StreamSettings,
         check: impl Fn(&B) -> Result<(), &'static str> + Send + 'static,
     ) -> Result<Stream<B>, BusError> {
+        let deliveries = settings.deliveries.max(1);
+        let (reader, arrived, source) =
+            self.reader(Reading { key, buffer_key, settings, check: Box::new(check) }).await?;
+        let (out, deliveries) = flume::bounded(deliveries);
+        let mut reading = JoinSet::new();
+        reading.spawn(reader.run(arrived, Out::One(out)));
+        Ok(Stream { deliveries, source, _reading: reading })
+    }
+
+    /// Reads several streams into one queue, in which so many blocks wait at most.
+    ///
+    /// # Errors
+    /// As [`Bus::follow`].
+    pub fn follow_group<B: Block>(
+        &self,
+        streams: Vec<Reading<B>>,
+        deliveries: usize,
+    ) -> BoxedFuture<'_, Result<StreamGroup<B>, BusError>> {
+        Box::pin(async move {
+            let (out, queue) = mpsc::channel(deliveries.max(1));
+            let (readers, mut sources) = (FuturesUnordered::new(), Vec::new());
+            for (number, stream) in streams.into_iter().enumerate() {
+                let (reader, arrived, source) = self.reader(stream).await?;
+                readers.push(reader.run(arrived, Out::Group(number, out.clone())));
+                sources.push(source);
+            }
+            let mut reading = JoinSet::new();
+            reading.spawn(readers.collect::<()>());
+            Ok(StreamGroup { deliveries: queue, sources, _reading: reading })
+        })
+    }
+
+    async fn reader<B: Block>(
+        &self,
+        stream: Reading<B>,
+    ) -> Result<(Reader<B>, mpsc::Receiver<Sample>, Source), BusError> {
+        let Reading { key, buffer_key, settings, check } = stream;
         let overflowed = Arc::new(AtomicU64::new(0));
-        let (samples, arrived) = flume::bounded(settings.queue.max(1));
-        let (out, deliveries) = flume::bounded(settings.deliveries.max(1));
+        let (samples, arrived) = mpsc::channel(settings.queue.max(1));
         let counts = Arc::new(Mutex::new(StreamCounts::default()));
         let flooded = Arc::new(AtomicU64::new(0));
         let (full, too_often) = (overflowed.clone(), flooded.clone());
@@ -193,12 +284,10 @@ impl Bus {
             buffer: Arc::new(buffer),
             key,
             settings,
-            check: Box::new(check),
+            check,
             counts: counts.clone(),
         };
-        let mut reading = JoinSet::new();
-        reading.spawn(reader.run(arrived, out));
-        Ok(Stream { deliveries, counts, overflowed, flooded, _subscriber: subscriber, _reading: reading })
+        Ok((reader, arrived, Source { counts, overflowed, flooded, _subscriber: subscriber }))
     }
 }
 
@@ -230,8 +319,24 @@ impl Bus {
     }
 }
 
+/// Where a reader puts what it has read.
+enum Out<B> {
+    One(flume::Sender<Delivery<B>>),
+    Group(usize, mpsc::Sender<(usize, Delivery<B>)>),
+}
+
+impl<B> Out<B> {
+    /// Waits where the queue is full; returns whether somebody still reads it.
+    async fn put(&self, delivery: Delivery<B>) -> bool {
+        match self {
+            Self::One(queue) => queue.send_async(delivery).await.is_ok(),
+            Self::Group(number, queue) => queue.send((*number, delivery)).await.is_ok(),
+        }
+    }
+}
+
 /// Says why a block does not fit its reader, if it does not.
-type Check<B> = Box<dyn Fn(&B) -> Result<(), &'static str> + Send>;
+pub type Check<B> = Box<dyn Fn(&B) -> Result<(), &'static str> + Send>;
 
 struct Reader<B> {
     follower: Follower<B>,
@@ -246,14 +351,16 @@ struct Reader<B> {
 }
 
 impl<B: Block> Reader<B> {
-    async fn run(mut self, arrived: flume::Receiver<Sample>, out: flume::Sender<Delivery<B>>) {
+    async fn run(mut self, mut arrived: mpsc::Receiver<Sample>, out: Out<B>) {
         self.follower.idle(&mut self.actions); // what was put before this reader came
+        // Moved only when it has gone off or lies too far ahead: a timer set anew for each block costs more than reading the block.
+        let mut idle = std::pin::pin!(sleep(self.idle_pause()));
         loop {
             while let Some(action) = self.actions.pop_front() {
                 match action {
                     Action::Deliver(delivery) => {
                         self.log_gap(&delivery);
-                        if out.send_async(delivery).await.is_err() {
+                        if !out.put(delivery).await {
                             return; // nobody reads any more
                         }
                     }
@@ -261,18 +368,31 @@ impl<B: Block> Reader<B> {
                 }
             }
             self.publish_counts();
-            let idle_pause = self.idle_pause();
-            tokio::select! {
-                biased; // answers first: they are what the messages after them wait for
-                fetched = answer_of(&mut self.fetch) => self.fetched(fetched),
-                sample = arrived.recv_async() => match sample {
-                    Ok(sample) => self.arrived(&sample),
-                    Err(flume::RecvError::Disconnected) => return,
-                },
-                () = sleep(idle_pause) => {
-                    self.polls += 1;
-                    self.follower.idle(&mut self.actions);
+            let due = Instant::now() + self.idle_pause();
+            if idle.deadline() > due {
+                idle.as_mut().reset(due);
+            }
+            loop {
+                tokio::select! {
+                    biased; // answers first: they are what the messages after them wait for
+                    fetched = answer_of(&mut self.fetch) => self.fetched(fetched),
+                    sample = arrived.recv() => match sample {
+                        Some(sample) => self.arrived(&sample),
+                        None => return,
+                    },
+                    () = idle.as_mut() => match Instant::now() < due {
+                        true => {
+                            idle.as_mut().reset(due);
+                            continue;
+                        }
+                        false => {
+                            self.polls += 1;
+                            self.follower.idle(&mut self.actions);
+                            idle.as_mut().reset(Instant::now() + self.idle_pause());
+                        }
+                    }
                 }
+                break;
             }
         }
     }

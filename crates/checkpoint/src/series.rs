@@ -5,7 +5,7 @@ use crate::error::{CheckpointError, Refusal};
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Display;
 use std::fs::{self, File};
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tracing::warn;
@@ -126,7 +126,11 @@ impl Checkpoints {
         let first = base.min(last_two).max(places.len().saturating_sub(MOST_KEPT));
         for place in &places[..first] {
             let path = self.path(*place);
-            fs::remove_file(&path).map_err(|source| CheckpointError::Io { what: "remove", path, source })?;
+            match fs::remove_file(&path) {
+                // somebody has made room by hand
+                Err(source) if source.kind() == io::ErrorKind::NotFound => {}
+                removed => removed.map_err(|source| CheckpointError::Io { what: "remove", path, source })?,
+            }
         }
         Ok(())
     }
@@ -182,7 +186,7 @@ fn write_whole(beside: &Path, path: &Path, bytes: &[u8], folder: &Path) -> Resul
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, Refusal> {
-    let unreadable = |error: std::io::Error| Refusal::Unreadable(error.to_string());
+    let unreadable = |error: io::Error| Refusal::Unreadable(error.to_string());
     let length = fs::metadata(path).map_err(unreadable)?.len();
     if length > MAX_BYTES {
         return Err(Refusal::Unreadable(format!("{length} bytes, a state has at most {MAX_BYTES}")));

@@ -7,11 +7,10 @@ use std::time::Duration;
 
 use spandrel_bus::{
     Block, BoxedFuture, Bus, Delivery, DisplayPublisher, FrameBlock, Keys, LiveToken, LiveWatch, Name,
-    NumberedPublisher, NumberedStream, Older, Pace, ProgressPublisher, SampleBlock, Service, Start, Status, Stream,
-    StreamState,
+    NumberedPublisher, NumberedStream, Older, Pace, ProgressPublisher, Reading, SampleBlock, Service, Start, Status,
+    StreamGroup, StreamState,
 };
 use spandrel_structure::Structure;
-use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::{info, warn};
 
@@ -75,7 +74,7 @@ pub struct IngestService {
     layout: Layout,
     lateness: Option<Lateness>,
     started: Instant,
-    nodes: Vec<Stream<SampleBlock>>,
+    nodes: StreamGroup<SampleBlock>,
     last_heard: Vec<Duration>,
     signs: Vec<Sign>,
     /// Until when no node is lost, because the tokens of all were gone at once.
@@ -97,8 +96,6 @@ pub struct IngestService {
     pace_heard: Option<Pace>,
     done: u64,
     last_time_ns: Option<i64>,
-    /// Blocks of all nodes that wait for the alignment; when it is full, the readers of the nodes wait.
-    blocks_waiting: usize,
     recorder: Option<Recorder>,
     token: LiveToken,
 }
@@ -185,22 +182,27 @@ impl IngestService {
                     true => Ok(()),
                     false => Err("foreign-blocks"),
                 };
-                nodes.push(
-                    bus.follow_fit(keys.samples(&node.name), keys.buffer(&node.name), settings, is_of_node).await?,
-                );
+                nodes.push(Reading {
+                    key: keys.samples(&node.name),
+                    buffer_key: keys.buffer(&node.name),
+                    settings,
+                    check: Box::new(is_of_node),
+                });
             }
+            let node_count = nodes.len();
+            let nodes = bus.follow_group(nodes, bus.reading(Start::Beginning).deliveries).await?;
             let service = Self {
                 core,
                 lateness: match waiting {
                     Waiting::Unlimited => None,
-                    Waiting::Limited(allowed) => Some(Lateness::new(allowed, nodes.len())),
+                    Waiting::Limited(allowed) => Some(Lateness::new(allowed, node_count)),
                 },
                 started: Instant::now(),
-                last_heard: vec![Duration::ZERO; nodes.len()],
-                signs: vec![Sign::Present; nodes.len()],
+                last_heard: vec![Duration::ZERO; node_count],
+                signs: vec![Sign::Present; node_count],
                 patient_until: Duration::ZERO,
                 all_gone: false,
-                ended: (0..nodes.len()).map(|node| places.get(node).is_some_and(|place| place.ended)).collect(),
+                ended: (0..node_count).map(|node| places.get(node).is_some_and(|place| place.ended)).collect(),
                 tokens: bus.watch_live(keys.all_live(Service::Sensor)).await?,
                 frames,
                 progress,
@@ -210,7 +212,6 @@ impl IngestService {
                 pace_heard: None,
                 done,
                 last_time_ns,
-                blocks_waiting: bus.reading(Start::Beginning).deliveries,
                 recorder,
                 // Last, because sources start when they see it: the readers above are there by then.
                 token: bus.announce(keys.live(Service::Ingest, &id)).await?,
@@ -221,7 +222,7 @@ impl IngestService {
             };
             info!(
                 structure = service.keys.structure().as_str(),
-                nodes = service.nodes.len(),
+                nodes = node_count,
                 channels = service.layout.channel_count(),
                 sampling_rate_hz = service.layout.sampling_rate_hz(),
                 "ingest ready"
@@ -240,11 +241,6 @@ impl IngestService {
 
     fn run_until(mut self, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), IngestError>> {
         Box::pin(async move {
-            let (arrivals, arrived) = flume::bounded(self.blocks_waiting);
-            let mut forwarding = JoinSet::new();
-            for (node, stream) in self.nodes.iter().enumerate() {
-                forwarding.spawn(forward(node, stream.deliveries().clone(), arrivals.clone()));
-            }
             let mut status = interval(STATUS_EVERY);
             status.set_missed_tick_behavior(MissedTickBehavior::Delay);
             let mut deadline = interval(DEADLINE_EVERY);
@@ -253,9 +249,9 @@ impl IngestService {
             loop {
                 // Not biased: at full speed samples never stop, and status and stop must still get their turn.
                 tokio::select! {
-                    arrival = arrived.recv_async() => match arrival {
-                        Ok((node, delivery)) => self.take(node, delivery).await?,
-                        Err(flume::RecvError::Disconnected) => break,
+                    arrival = self.nodes.next() => match arrival {
+                        Some((node, delivery)) => self.take(node, delivery).await?,
+                        None => break,
                     },
                     tokens = self.tokens.changed() => {
                         self.compare_tokens(&known_tokens, &tokens);
@@ -271,7 +267,7 @@ impl IngestService {
                     () = &mut stop => break,
                 }
             }
-            while let Ok((node, delivery)) = arrived.try_recv() {
+            while let Some((node, delivery)) = self.nodes.next_now() {
                 self.take(node, delivery).await?;
             }
             info!(structure = self.keys.structure().as_str(), frames = self.core.counts().frames, "ingest stopped");
@@ -337,12 +333,12 @@ impl IngestService {
     /// Tells a link that is down from nodes that are gone: all tokens vanish at once then. Whoever was lost meanwhile is expected
     /// again once the first one is back.
     async fn compare_with_an_outage(&mut self, elapsed: Duration) -> Result<(), IngestError> {
-        let known = || (0..self.nodes.len()).filter(|node| !self.ended[*node] && !self.last_heard[*node].is_zero());
+        let known = || (0..self.signs.len()).filter(|node| !self.ended[*node] && !self.last_heard[*node].is_zero());
         let all_gone = known().next().is_some() && known().all(|node| self.signs[node] != Sign::Present);
         if all_gone != self.all_gone {
             self.all_gone = all_gone;
             self.patient_until = elapsed + GRACE_OF_ALL;
-            for node in 0..self.nodes.len() {
+            for node in 0..self.signs.len() {
                 if !all_gone && self.signs[node] == Sign::Lost {
                     self.signs[node] = Sign::Gone;
                     self.handle(Input::Back { node }).await?;
@@ -356,7 +352,7 @@ impl IngestService {
         let elapsed = self.started.elapsed();
         let silent = |heard: &Duration| elapsed.saturating_sub(*heard) >= GRACE;
         self.compare_with_an_outage(elapsed).await?;
-        for node in 0..self.nodes.len() {
+        for node in 0..self.signs.len() {
             if self.ended[node] {
                 continue; // it has said goodbye
             }
@@ -385,10 +381,8 @@ impl IngestService {
         let since_epoch = now.duration_since(std::time::UNIX_EPOCH);
         let now_ns = since_epoch.map_or(0, |elapsed| elapsed.as_nanos() as i64);
         let mut drops: BTreeMap<String, u64> = self.core.counts().drops();
-        for stream in &self.nodes {
-            for (reason, count) in stream.counts().drops() {
-                *drops.entry(reason).or_default() += count;
-            }
+        for (reason, count) in self.nodes.counts().flat_map(|counts| counts.drops()) {
+            *drops.entry(reason).or_default() += count;
         }
         drops.extend(self.recorder.iter().flat_map(Recorder::drops));
         let status = Status {
@@ -407,18 +401,5 @@ impl IngestService {
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
         Ok(self.status.put(&status).await?)
-    }
-}
-
-/// Hands the deliveries of one node to the common queue; waits where it is full.
-async fn forward(
-    node: usize,
-    deliveries: flume::Receiver<Delivery<SampleBlock>>,
-    arrivals: flume::Sender<(usize, Delivery<SampleBlock>)>,
-) {
-    while let Ok(delivery) = deliveries.recv_async().await {
-        if arrivals.send_async((node, delivery)).await.is_err() {
-            return;
-        }
     }
 }
