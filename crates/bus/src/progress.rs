@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tokio::time::timeout;
 use tracing::{debug, warn};
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::Sample;
@@ -17,18 +16,18 @@ use crate::publish::DisplayPublisher;
 use crate::receive::read;
 use crate::session::Bus;
 
-/// A progress message may be dropped, so the last one is repeated.
-const REPEAT: Duration = Duration::from_millis(500);
-/// At least so long between two of them, but for great steps: sources look a window of thousands of frames ahead.
-const PAUSE: Duration = Duration::from_millis(200);
-/// Frames that make a great step: many of them fit into the window of a source.
+/// A progress message may be dropped, so the last one is repeated; what has not been told is told then at the latest.
+const REPEAT: Duration = Duration::from_millis(300);
+/// Every so many changes are told: sources look a window of thousands of frames ahead.
+const CHANGES: u32 = 4;
+/// And each one by so many frames: a part of such a window.
 const STEP: u64 = 256;
 
 /// Puts the progress of a service: soon after it changes, and again while it does not.
 #[derive(Debug)]
 pub struct ProgressPublisher {
     source: String,
-    latest: watch::Sender<Option<Progress>>,
+    latest: watch::Sender<Latest>,
     _repeating: JoinSet<()>,
 }
 
@@ -51,7 +50,7 @@ impl Bus {
     ) -> BoxedFuture<'a, Result<ProgressPublisher, BusError>> {
         Box::pin(async move {
             let publisher = self.publish_display(key).await?;
-            let (latest, changes) = watch::channel(None);
+            let (latest, changes) = watch::channel(Latest::default());
             let mut repeating = JoinSet::new();
             repeating.spawn(repeat(publisher, changes));
             Ok(ProgressPublisher { source, latest, _repeating: repeating })
@@ -78,35 +77,44 @@ impl Bus {
     }
 }
 
-async fn repeat(publisher: DisplayPublisher<Progress>, mut changes: watch::Receiver<Option<Progress>>) {
+async fn repeat(publisher: DisplayPublisher<Progress>, mut changes: watch::Receiver<Latest>) {
     loop {
-        let progress = changes.borrow_and_update().clone();
-        if let Some(progress) = &progress
-            && let Err(error) = publisher.put(progress).await
+        let progress = changes.borrow_and_update().progress.clone();
+        if let Some(progress) = progress
+            && let Err(error) = publisher.put(&progress).await
         {
             warn!(%error, "progress not put");
             return;
         }
-        let great_step = changes.wait_for(|now| is_great_step(progress.as_ref(), now.as_ref()));
-        match timeout(PAUSE, great_step).await {
-            Ok(Ok(_)) => continue,
-            Ok(Err(_nobody_sets_it)) => return,
-            Err(_elapsed) => {}
-        }
-        if *changes.borrow() == progress {
-            match timeout(REPEAT - PAUSE, changes.changed()).await {
-                Ok(Err(_nobody_sets_it)) => return,
-                Ok(Ok(())) | Err(_) => {}
-            }
+        tokio::select! {
+            changed = changes.changed() => if changed.is_err() { return },
+            () = tokio::time::sleep(REPEAT) => {}
         }
     }
 }
 
-fn is_great_step(from: Option<&Progress>, to: Option<&Progress>) -> bool {
-    match (from, to) {
-        (_, None) => false,
-        (None, Some(_)) => true,
-        (Some(from), Some(to)) => from.header.epoch != to.header.epoch || to.done.abs_diff(from.done) >= STEP,
+/// The last progress, and when one was told.
+#[derive(Debug, Default)]
+struct Latest {
+    progress: Option<Progress>,
+    /// Epoch and frames done of the last one that was told at once.
+    told: Option<(u64, u64)>,
+    /// Changes since.
+    untold: u32,
+}
+
+impl Latest {
+    /// Takes a change; returns whether it is to be told at once.
+    fn take(&mut self, progress: Progress) -> bool {
+        let (epoch, done) = (progress.header.epoch, progress.done);
+        self.progress = Some(progress);
+        self.untold += 1;
+        let is_small =
+            self.told.is_some_and(|(told, from)| told == epoch && done.abs_diff(from) < STEP && self.untold < CHANGES);
+        if !is_small {
+            (self.told, self.untold) = (Some((epoch, done)), 0);
+        }
+        !is_small
     }
 }
 
@@ -119,11 +127,8 @@ impl ProgressPublisher {
 
     /// As [`ProgressPublisher::set`], of a service that would need the frames from number `kept` on again if it were killed.
     pub fn set_kept(&self, epoch: u64, done: u64, time_ns: i64, kept: u64) {
-        self.latest.send_replace(Some(Progress {
-            header: Header { source: self.source.clone(), epoch, sequence: done, time_ns },
-            done,
-            kept,
-        }));
+        let header = Header { source: self.source.clone(), epoch, sequence: done, time_ns };
+        self.latest.send_if_modified(|latest| latest.take(Progress { header, done, kept }));
     }
 }
 
@@ -141,5 +146,26 @@ impl ProgressWatch {
             Ok(Some(progress)) => progress,
             Ok(None) | Err(_) => std::future::pending().await, // the session is closed: nothing arrives any more
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_change_in_four_is_told_and_every_great_step() {
+        let progress = |epoch, done| Progress {
+            header: Header { source: "ingest".into(), epoch, sequence: done, time_ns: 0 },
+            done,
+            kept: done,
+        };
+        let mut latest = Latest::default();
+        let small: Vec<bool> = (1..=9).map(|block| latest.take(progress(1, 5 * block))).collect();
+        assert_eq!(small, [true, false, false, false, true, false, false, false, true]);
+        assert!(latest.take(progress(1, 45 + STEP)));
+        assert!(!latest.take(progress(1, 50 + STEP)));
+        assert!(latest.take(progress(2, 5)), "another epoch");
+        assert_eq!(latest.progress, Some(progress(2, 5)));
     }
 }

@@ -187,7 +187,7 @@ fn measure_apart(
     let program = std::env::current_exe().map_err(|source| io("cannot find the program", source))?;
     let mut command = Command::new(program);
     command.args(["run", "--http", "none", "--listen", &endpoint, "-v", "--root", &settings.bus.root]);
-    command.env("SPANDREL_HISTORY__DATABASE", "none");
+    command.env("SPANDREL_HISTORY__DATABASE", "none").env("SPANDREL_STATE__FOLDER", folder.join("state"));
     for (structure, text) in &structures {
         let path = folder.join(format!("{}.toml", structure.name()));
         std::fs::write(&path, text).map_err(|source| io("cannot write a structure file", source))?;
