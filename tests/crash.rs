@@ -13,6 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use spandrel_alert::Watch;
 use spandrel_bus::{
     AlertMessage, AlertState, Bus, BusConfig, FrameBlock, Header, HistoryLog, Mode, Name, Service, StreamState,
+    Subscription,
 };
 use spandrel_identify::{Identification, Input, Output};
 use spandrel_record::{FrameLog, LogLayout, LogSettings};
@@ -22,8 +23,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 use support::{
-    DEADLINE, Drops, EstimateReader, Identified, Process, Record, Site, SmallDisk, assert_same_bits, spandrel,
-    two_storeys, within,
+    DEADLINE, Drops, EstimateReader, Identified, Node, Process, Record, Sensors, Site, SmallDisk, assert_same_bits,
+    spandrel, two_storeys, within,
 };
 use tokio::time::Instant;
 
@@ -296,4 +297,66 @@ async fn a_full_disk_stops_nobody_and_what_waited_is_recorded() {
     std::fs::remove_file(&filling).unwrap();
     town.running["ingest"].wait_for_log("the disk takes the recording again");
     town.finish(bus, found).await;
+}
+
+/// Listens to frames until as many are known, by epoch and number; one that comes again must be the same to the bit.
+async fn hear(frames: &Subscription<FrameBlock>, heard: &mut BTreeMap<(u64, u64), Vec<u64>>, count: usize) {
+    let listening = async {
+        while heard.len() < count {
+            let (_, block) = frames.messages().recv_async().await.unwrap();
+            for (number, values) in block.iter() {
+                let bits: Vec<u64> = values.iter().map(|value| value.to_bits()).collect();
+                let known = heard.entry((block.header.epoch, number)).or_insert_with(|| bits.clone());
+                assert!(*known == bits, "frame {number} of epoch {} came with other samples", block.header.epoch);
+            }
+        }
+    };
+    within(&format!("{count} frames"), listening).await;
+}
+
+/// Samples that were heard of as frames, and are gone with the process before the disk took them: their numbers belong to those who have
+/// heard them.
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_that_were_heard_and_never_recorded_do_not_come_again_with_other_samples() {
+    let disk = tempfile::tempdir().unwrap();
+    let Some(_mounted) = SmallDisk::or_skip(disk.path(), "2m") else { return };
+    let site = Site::with(&two_storeys(""));
+    let record = site.simulate(6.0);
+    let (bus, keys) = (site.host().await, site.keys());
+    let run = || {
+        let ingest = Process::start(site.connecting("ingest").env("SPANDREL_STATE__FOLDER", disk.path()));
+        ingest.wait_for_log("ready structures=1");
+        ingest
+    };
+    let frames = bus.subscribe::<FrameBlock>(keys.frames(), 4096).await.unwrap();
+    let mut heard: BTreeMap<(u64, u64), Vec<u64>> = BTreeMap::new();
+    let mut ingest = run();
+    let mut sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
+    sensors.put(0..200).await;
+    hear(&frames, &mut heard, 200).await;
+    let filling = disk.path().join("filling");
+    let mut file = std::fs::File::create(&filling).unwrap();
+    while file.write_all(&[0; 4096]).is_ok() {}
+    while file.write_all(&[0; 1]).is_ok() {}
+    sensors.put(200..300).await;
+    hear(&frames, &mut heard, 300).await;
+    ingest.wait_for_log("the recording cannot be written");
+    ingest.kill();
+    drop((sensors, file));
+    std::fs::remove_file(&filling).unwrap();
+
+    // the nodes have been started anew as well, and know nothing of what they sent before
+    ingest = run();
+    let mut nodes = Vec::new();
+    for node in site.structure().nodes() {
+        let channels = node.channels().iter().map(|channel| channel.name().to_owned()).collect();
+        let mut node = Node::start(&bus, &keys, Name::new(node.name()).unwrap(), channels, 2).await;
+        let block = node.block(&record, 400..600);
+        node.put(block).await;
+        nodes.push(node);
+    }
+    hear(&frames, &mut heard, 500).await;
+    let epochs: Vec<u64> = heard.keys().map(|(epoch, _)| *epoch).collect();
+    assert!(epochs.first() < epochs.last(), "a new epoch has begun");
+    ingest.stop().expect_code(0);
 }

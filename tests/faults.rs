@@ -434,12 +434,20 @@ async fn an_acknowledgement_of_nothing_is_counted() {
         note: String::new(),
     };
     let (known, unknown) = (faulty.keys.acknowledge(&name("storey-1")), faulty.keys.acknowledge(&name("storey-9")));
+    // PostgreSQL takes no text with a zero byte, and no name of kilobytes
+    let of_structure = |who: &str| {
+        let structure = faulty.keys.structure();
+        format!("{{\"structure\":\"{structure}\",\"parameter\":\"storey-1\",\"time_ns\":0,\"who\":\"{who}\"}}")
+            .into_bytes()
+    };
     for (key, payload, reason) in [
         (&unknown, of("storey-9").encode().unwrap(), "acknowledgement-on-another-key"),
         (&known, of("storey-2").encode().unwrap(), "acknowledgement-on-another-key"),
         (&known, of("storey-1").encode().unwrap(), "acknowledgement-without-alert"),
         (&known, b"{\"who\": ".to_vec(), "acknowledgement-undecodable"),
         (&known, b"{\"who\": 7}".to_vec(), "acknowledgement-undecodable"),
+        (&known, of_structure("Ada\\u0000"), "acknowledgement-malformed"),
+        (&known, of_structure(&"a".repeat(600)), "acknowledgement-malformed"),
     ] {
         put_raw(&faulty.bus, key, "application/json", payload).await;
         faulty.drops.expect(Service::Alert, reason, 1).await;

@@ -120,6 +120,60 @@ async fn what_was_is_still_there_when_all_has_been_started_anew() {
     .await;
 }
 
+/// Writes until not a byte is left.
+fn fill(path: &Path) -> std::fs::File {
+    let mut file = std::fs::File::create(path).unwrap();
+    for bytes in [4096, 1] {
+        while file.write_all(&[0; 4096][..bytes]).is_ok() {}
+    }
+    file
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_disk_that_is_full_at_the_first_start_is_waited_for() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let disk = site.folder().join("disk");
+    std::fs::create_dir(&disk).unwrap();
+    let Some(_mounted) = SmallDisk::or_skip(&disk, "2m") else { return };
+    let filling = disk.join("filling");
+    let file = fill(&filling);
+    // recording and checkpoints are on this disk as well
+    let configuration = site.folder().join("spandrel.toml");
+    std::fs::write(
+        &configuration,
+        "[state]\nfolder = \"disk/state\"\n[history]\ndatabase = \"disk/state/house.sqlite\"\n",
+    )
+    .unwrap();
+    let services = Process::start(site.listening("run").arg("--config").arg(&configuration).args(["--http", "none"]));
+    services.wait_for_log("history waits for its database");
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let drops = Drops::watch(&bus, &site.keys()).await;
+    drops.expect(Service::History, "failed-writes", 1).await;
+    let record = site.simulate(LENGTH_S);
+    site.replay(&record, "max").wait().expect_code(0);
+    drop(file);
+    std::fs::remove_file(&filling).unwrap();
+    let is_whole = |span: &HistorySpan| span.rows.time_s.last().is_some_and(|last| *last > LENGTH_S - 1.0);
+    let whole = span(&bus, &site, "points=20000", is_whole).await;
+    assert!(whole.rows.time_s[0] < 1.0, "{:?}", &whole.rows.time_s[..3]);
+    bus.close().await.unwrap();
+    services.stop().expect_code(0);
+}
+
+#[test]
+fn a_place_where_no_history_can_be_ends_with_an_error_that_names_it() {
+    let site = Site::with(&two_storeys(""));
+    std::fs::create_dir(site.folder().join("folder.sqlite")).unwrap();
+    for (database, told) in [("folder.sqlite", "Is a directory"), ("structure.toml/house.sqlite", "File exists")] {
+        let configuration = configuration(&site, Path::new(database));
+        let services =
+            Process::start(site.listening("run").arg("--config").arg(&configuration).args(["--http", "none"]));
+        let name = database.split('/').next().unwrap();
+        services.wait().expect_code(1).expect_told(&[name, told]);
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
     let site = Site::with(&two_storeys(DAMAGED));
@@ -132,10 +186,8 @@ async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
     let bus = site.join().await;
     site.wait_for_services(&bus).await;
     let drops = Drops::watch(&bus, &site.keys()).await;
-    // not a byte is left
     let filling = disk.join("filling");
-    let mut file = std::fs::File::create(&filling).unwrap();
-    while file.write_all(&[0; 4096]).is_ok() {}
+    let file = fill(&filling);
     let record = site.simulate(LENGTH_S);
     site.replay(&record, "max").wait().expect_code(0);
     drops.expect(Service::History, "failed-writes", 2).await;
@@ -150,5 +202,37 @@ async fn a_full_disk_stops_nothing_and_what_waited_is_written_later() {
     let longest = whole.rows.time_s.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
     assert!(longest < 0.15, "{longest} s without a value");
     bus.close().await.unwrap();
+    services.stop().expect_code(0);
+}
+
+/// Connections that are opened and left alone.
+#[tokio::test(flavor = "multi_thread")]
+async fn connections_that_say_nothing_are_bounded_and_closed() {
+    const MANY: usize = 400;
+    const MOST: usize = 256;
+    let site = Site::with(&two_storeys(""));
+    let services = Process::start(site.listening("run").args(["--http", "127.0.0.1:0"]));
+    services.wait_for_output("address of the page", |said| said.contains("page: http://"));
+    let said = services.output();
+    let address = said.split("page: http://").nth(1).unwrap().split('/').next().unwrap().to_owned();
+    let silent: Vec<TcpStream> = (0..MANY).map(|_| TcpStream::connect(&address).unwrap()).collect();
+    services.wait_for_log("too many connections to the page");
+    let open = std::fs::read_dir(format!("/proc/{}/fd", services.id())).unwrap();
+    let sockets = open.flatten().filter(|file| {
+        std::fs::read_link(file.path()).is_ok_and(|target| target.to_string_lossy().starts_with("socket:"))
+    });
+    let sockets = sockets.count();
+    assert!(sockets < MOST + 100, "{sockets} sockets are open");
+    // all of them end without a word, and others are answered again
+    tokio::task::block_in_place(|| {
+        for mut stream in silent {
+            stream.set_read_timeout(Some(DEADLINE)).unwrap();
+            let mut said = Vec::new();
+            let ended = stream.read_to_end(&mut said);
+            let is_reset = ended.as_ref().is_err_and(|error| error.kind() == std::io::ErrorKind::ConnectionReset);
+            assert!(ended.is_ok() || is_reset, "{ended:?}");
+        }
+        assert!(get(&address, "/api/structures")["structures"].is_array());
+    });
     services.stop().expect_code(0);
 }

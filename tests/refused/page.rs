@@ -84,7 +84,7 @@ fn requests(table: &mut Table, page: &Page) {
     let long = format!("{{\"who\":\"{}\"}}", "a".repeat(101));
     let wide = format!("X-Wide: {}\r\n", "a".repeat(600_000));
     let from_elsewhere = format!("{json}Origin: https://example.org\r\n");
-    let cases: [Asked<'_>; 20] = [
+    let cases: [Asked<'_>; 22] = [
         ("a path that is not there", ["GET", "/api/nothing", "", ""], ("404", &["/api/nothing", "openapi.json"])),
         ("a path out of the page", ["GET", "/../../etc/passwd", "", ""], ("404", &["etc/passwd"])),
         ("a structure that is not there", ["GET", "/api/structures/tower", "", ""], ("404", &["`tower`", "house"])),
@@ -104,6 +104,16 @@ fn requests(table: &mut Table, page: &Page) {
         ("a body without what it must have", ["POST", acknowledge, json, "{\"note\":\"x\"}"], ("422", &["who"])),
         ("a body of 20 kB", ["POST", acknowledge, json, &large], ("413", &[])),
         ("a name of 101 characters", ["POST", acknowledge, json, &long], ("400", &["who is too long", "100"])),
+        (
+            "a name with a zero byte",
+            ["POST", acknowledge, json, "{\"who\":\"Ada\\u0000\"}"],
+            ("400", &["who has control characters", "a line of text"]),
+        ),
+        (
+            "a note with an escape character",
+            ["POST", acknowledge, json, "{\"who\":\"Ada\",\"note\":\"\\u001b[2J\"}"],
+            ("400", &["note has control characters"]),
+        ),
         ("a body of another type", ["POST", acknowledge, "", "{\"who\":\"Ada\"}"], ("415", &["application/json"])),
         ("an acknowledgement without alert", ["POST", acknowledge, json, "{\"who\":\"Ada\"}"], ("409", &["storey-1"])),
         (

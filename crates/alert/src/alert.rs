@@ -71,5 +71,7 @@ impl Alert {
             acknowledged_by: self.acknowledgement.as_ref().map(|acknowledged| acknowledged.who.clone()),
             why: self.why.clone(),
         }
+        // one that was remembered by an earlier version may hold a name that none would send now
+        .legible()
     }
 }

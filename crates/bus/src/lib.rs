@@ -80,10 +80,10 @@ pub use message::{
     Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChannelState, ClassCalibration, ClassPlausibility,
     CredibleInterval, DecodeError, Description, EncodeError, Estimate, EstimateBlock, EstimateFlags, Event, EventKind,
     FeedbackMessage, Format, FrameBlock, Header, HistoryLog, HistoryRows, HistorySpan, Load, LocalDensity,
-    LocalMessage, MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan, Message,
-    ModelClassDisplay, MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay,
-    Pace, ParameterDisplay, Phase, Progress, SampleBlock, ScreenedChannel, Standing, StateMessage, Status, StreamState,
-    ToldMotion, ToldSamples, is_without_date,
+    LocalMessage, MAX_CHANNELS, MAX_ITEMS, MAX_LABEL_BYTES, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan,
+    Message, ModelClassDisplay, MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay,
+    OutlierDisplay, Pace, ParameterDisplay, Phase, Progress, SampleBlock, ScreenedChannel, Standing, StateMessage,
+    Status, StreamState, ToldMotion, ToldSamples, is_without_date,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};

@@ -22,6 +22,7 @@ mod progress;
 mod samples;
 mod state;
 mod status;
+mod text;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -47,6 +48,9 @@ pub use progress::Progress;
 pub use samples::{NodeState, Pace, SampleBlock};
 pub use state::StateMessage;
 pub use status::{Load, Standing, Status, is_without_date};
+pub use text::MAX_LABEL_BYTES;
+
+use text::{check_label, check_text};
 
 /// Largest payload accepted, in bytes; nothing larger is ever decoded or sent.
 pub const MAX_MESSAGE_BYTES: usize = 8 << 20;
@@ -199,6 +203,16 @@ pub enum Malformed {
         /// The most accepted.
         most: usize,
     },
+    /// A text has a character that is none to be read, and that databases and terminals may not take.
+    #[error("{what} has the control character {found:?}, must have {allowed}")]
+    Control {
+        /// The field.
+        what: &'static str,
+        /// The first such character.
+        found: char,
+        /// Those that it may have.
+        allowed: &'static str,
+    },
     /// The numbers of the items of the block do not fit 64 bits.
     #[error("block of {count} items starts at number {sequence}, past the end of the numbers")]
     SequenceOverflow {
@@ -274,16 +288,6 @@ impl DecodeError {
             Self::Malformed(_) => "malformed",
         }
     }
-}
-
-/// Longest text field of a message for people, in bytes.
-const MAX_TEXT_BYTES: usize = 4096;
-
-fn check_text(what: &'static str, text: &str) -> Result<(), Malformed> {
-    if text.len() <= MAX_TEXT_BYTES {
-        return Ok(());
-    }
-    Err(Malformed::Text { what, found: text.len(), most: MAX_TEXT_BYTES })
 }
 
 fn check_count(what: &'static str, found: usize, least: usize, most: usize) -> Result<(), Malformed> {

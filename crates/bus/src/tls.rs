@@ -77,7 +77,17 @@ pub enum TlsError {
         /// The certificate.
         certificate: PathBuf,
     },
-    /// The authority has not issued it, or it is over.
+    /// It is over, or not valid yet: another clock or another certificate in the same file mends that.
+    #[error("certificate {} is not accepted: {why} (authority {})", certificate.display(), authority.display())]
+    NotInTime {
+        /// The certificate.
+        certificate: PathBuf,
+        /// The authority.
+        authority: PathBuf,
+        /// Why, in words.
+        why: String,
+    },
+    /// The authority has not issued it.
     #[error("certificate {} is not accepted: {why} (authority {})", certificate.display(), authority.display())]
     NotAccepted {
         /// The certificate.
@@ -133,7 +143,12 @@ impl TlsConfig {
         let verifier = verifier.map_err(|error| refused(error.to_string()))?;
         let [own, intermediate @ ..] = chain.as_slice() else { return Ok(()) }; // read_pair has seen one
         let valid = |at: UnixTime| verifier.verify_client_cert(own, intermediate, at);
-        valid(UnixTime::now()).map_err(|error| refused(in_words(&error)))?;
+        valid(UnixTime::now()).map_err(|error| match refused(in_words(&error)) {
+            TlsError::NotAccepted { certificate, authority, why } if is_of_time(&error) => {
+                TlsError::NotInTime { certificate, authority, why }
+            }
+            refused => refused,
+        })?;
         let soon = Duration::from_secs(UnixTime::now().as_secs()).saturating_add(WARNED_BEFORE);
         if valid(UnixTime::since_unix_epoch(soon)).is_err() {
             let certificate = self.certificate.display();
@@ -204,6 +219,18 @@ fn in_words_of_alert(code: u64, reason: &str) -> String {
         Some(alert) if reason.is_empty() => format!("{alert:?}"),
         Some(_) | None => reason.to_owned(),
     }
+}
+
+/// Whether a certificate was refused for the time at which it was shown.
+fn is_of_time(error: &rustls::Error) -> bool {
+    let rustls::Error::InvalidCertificate(error) = error else { return false };
+    matches!(
+        error,
+        CertificateError::Expired
+            | CertificateError::ExpiredContext { .. }
+            | CertificateError::NotValidYet
+            | CertificateError::NotValidYetContext { .. }
+    )
 }
 
 /// Why a certificate of our own was refused.

@@ -1,9 +1,9 @@
 //! The HTTP interface: what can be asked, and what a mistake is answered with.
 
 use crate::entrance::{self, SESSION_PATH, pass, signed};
-use crate::gate::Visitor;
+use crate::gate::{SessionEnd, Visitor};
 use crate::health::{self, LIVE_PATH, READY_PATH};
-use crate::history::{self, Asked, Format, Refused, Request};
+use crate::history::{self, Asked, Format, Refused};
 use crate::live;
 use crate::metrics::{self, metrics};
 use crate::overview::overview;
@@ -14,10 +14,10 @@ use crate::view::{Standing, changes, standing_alerts};
 use axum::extract::rejection::{JsonRejection, QueryRejection};
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::{DefaultBodyLimit, Path, Query, State};
+use axum::extract::{DefaultBodyLimit, Path, Query, Request, State};
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE, HOST, ORIGIN, STRICT_TRANSPORT_SECURITY};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
-use axum::middleware::{from_fn_with_state, map_response, map_response_with_state};
+use axum::middleware::{Next, from_fn, from_fn_with_state, map_response, map_response_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post};
 use axum::{Extension, Json, Router};
@@ -25,6 +25,7 @@ use serde::Deserialize;
 use serde_json::json;
 use spandrel_bus::{Acknowledgement, AlertState, Name};
 use std::sync::{Arc, MutexGuard};
+use std::time::Duration;
 
 /// The description of this interface.
 const OPENAPI: &str = include_str!("../openapi.json");
@@ -33,6 +34,8 @@ const LARGEST_BODY: usize = 16 * 1024;
 /// Longest name of a person, and longest note (characters).
 const LONGEST_NAME: usize = 100;
 const LONGEST_NOTE: usize = 1_000;
+/// Time for a whole request, mostly for its body: the answer takes seconds at most.
+const REQUEST_WITHIN: Duration = Duration::from_secs(30);
 /// Largest message of a browser on the WebSocket (bytes): nothing is asked there.
 const LARGEST_MESSAGE: usize = 4 * 1024;
 
@@ -65,9 +68,18 @@ pub(crate) fn router(server: Arc<Server>) -> Router {
         .method_not_allowed_fallback(wrong_method)
         .layer(DefaultBodyLimit::max(LARGEST_BODY))
         .layer(from_fn_with_state(server.clone(), pass))
+        .layer(from_fn(in_time))
         .layer(map_response(with_headers))
         .layer(map_response_with_state(server.clone(), with_transport_security))
         .with_state(server)
+}
+
+/// Gives a request up that does not end.
+async fn in_time(request: Request, next: Next) -> Response {
+    tokio::time::timeout(REQUEST_WITHIN, next.run(request)).await.unwrap_or_else(|_elapsed| {
+        let allowed = format!("must be whole within {} s", REQUEST_WITHIN.as_secs());
+        Mistake::new(StatusCode::REQUEST_TIMEOUT, "the request takes too long", allowed).into_response()
+    })
 }
 
 /// Tells browsers that came over TLS to come over nothing else.
@@ -181,7 +193,7 @@ async fn read_history(
     let Query(asked) = asked?;
     let (mut span, earlier) = {
         let store = find(&server, &name)?;
-        history::read(&store, &Request::new(&asked, &store)?)
+        history::read(&store, &history::Request::new(&asked, &store)?)
     };
     for (earlier, answer) in server.ask_history(&name, earlier).await {
         span.put_before(&earlier, &answer);
@@ -252,6 +264,12 @@ async fn acknowledge(
         }
         _ => {}
     }
+    if who.chars().any(char::is_control) {
+        return refuse("who has control characters", "must be a line of text".to_owned());
+    }
+    if note.chars().any(|c| c.is_control() && !matches!(c, '\n' | '\r' | '\t')) {
+        return refuse("note has control characters", "must be text, in one or more lines".to_owned());
+    }
     if note.chars().count() > LONGEST_NOTE {
         return refuse("note is too long", format!("must have up to {LONGEST_NOTE} characters"));
     }
@@ -300,6 +318,7 @@ struct Wanted {
 async fn listen(
     State(server): Shared,
     wanted: Result<Query<Wanted>, QueryRejection>,
+    session: Option<Extension<SessionEnd>>,
     headers: HeaderMap,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, Mistake> {
@@ -313,7 +332,7 @@ async fn listen(
         return Err(Mistake::new(StatusCode::SERVICE_UNAVAILABLE, "too many browsers listen", "try again later"));
     };
     Ok(upgrade.on_upgrade(async move |socket| {
-        live::serve(socket, server, structure).await;
+        live::serve(socket, server, structure, session.map(|Extension(session)| session)).await;
         drop(place);
     }))
 }

@@ -1,13 +1,11 @@
 //! The door of the page: takes connections, over TLS where there is a certificate.
 
 use crate::error::DashboardError;
-use axum::extract::connect_info::Connected;
-use axum::serve::{IncomingStream, Listener};
+use crate::places::{Place, Places};
 use rustls::ServerConfig;
 use rustls::crypto::ring::default_provider;
 use spandrel_bus::read_pair;
-use std::io;
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -51,28 +49,39 @@ impl PageCertificate {
     }
 }
 
-type Connection = Either<TcpStream, Box<TlsStream<TcpStream>>>;
+/// Somebody at the door.
+#[derive(Debug)]
+pub(crate) struct Guest {
+    pub(crate) stream: Either<TcpStream, Box<TlsStream<TcpStream>>>,
+    pub(crate) address: SocketAddr,
+    pub(crate) place: Place,
+}
 
-/// Takes connections. Handshakes are done beside each other: who does not finish one keeps nobody else out.
+/// Takes connections. Handshakes are done beside each other: who does not finish one keeps nobody else out. Where there is no place
+/// any more a connection is closed at once.
 #[derive(Debug)]
 pub(crate) struct Door {
-    address: SocketAddr,
-    connections: mpsc::Receiver<(Connection, SocketAddr)>,
+    guests: mpsc::Receiver<Guest>,
     _taking: JoinSet<()>,
 }
 
 impl Door {
-    pub(crate) fn new(listener: TcpListener, acceptor: Option<TlsAcceptor>) -> io::Result<Self> {
-        let address = listener.local_addr()?;
-        let (out, connections) = mpsc::channel(MOST_HANDSHAKES);
+    pub(crate) fn new(listener: TcpListener, acceptor: Option<TlsAcceptor>) -> Self {
+        let (out, guests) = mpsc::channel(MOST_HANDSHAKES);
         let mut taking = JoinSet::new();
         taking.spawn(take(listener, acceptor, out));
-        Ok(Self { address, connections, _taking: taking })
+        Self { guests, _taking: taking }
+    }
+
+    /// The next one; none only when all is at its end.
+    pub(crate) async fn next(&mut self) -> Option<Guest> {
+        self.guests.recv().await
     }
 }
 
-async fn take(listener: TcpListener, acceptor: Option<TlsAcceptor>, out: mpsc::Sender<(Connection, SocketAddr)>) {
-    let places = Arc::new(Semaphore::new(MOST_HANDSHAKES));
+async fn take(listener: TcpListener, acceptor: Option<TlsAcceptor>, out: mpsc::Sender<Guest>) {
+    let places = Places::default();
+    let may_shake_hands = Arc::new(Semaphore::new(MOST_HANDSHAKES));
     let mut handshakes = JoinSet::new();
     loop {
         while handshakes.try_join_next().is_some() {}
@@ -84,48 +93,25 @@ async fn take(listener: TcpListener, acceptor: Option<TlsAcceptor>, out: mpsc::S
                 continue;
             }
         };
+        let Some(place) = places.take(address.ip()) else { continue };
         let Some(acceptor) = acceptor.clone() else {
-            if out.send((Either::Left(stream), address)).await.is_err() {
+            if out.send(Guest { stream: Either::Left(stream), address, place }).await.is_err() {
                 return;
             }
             continue;
         };
-        let Ok(place) = places.clone().acquire_owned().await else { return };
+        let Ok(handshake) = may_shake_hands.clone().acquire_owned().await else { return };
         let out = out.clone();
         handshakes.spawn(async move {
             match tokio::time::timeout(HANDSHAKE_WITHIN, acceptor.accept(stream)).await {
-                Ok(Ok(stream)) => drop(out.send((Either::Right(Box::new(stream)), address)).await),
+                Ok(Ok(stream)) => {
+                    let stream = Either::Right(Box::new(stream));
+                    drop(out.send(Guest { stream, address, place }).await);
+                }
                 Ok(Err(error)) => debug!(%address, %error, "no handshake"),
                 Err(_) => debug!(%address, "no handshake in time"),
             }
-            drop(place);
+            drop(handshake);
         });
-    }
-}
-
-impl Listener for Door {
-    type Io = Connection;
-    type Addr = SocketAddr;
-
-    async fn accept(&mut self) -> (Self::Io, Self::Addr) {
-        match self.connections.recv().await {
-            Some(connection) => connection,
-            // the listener is gone, which happens at the end only
-            None => std::future::pending().await,
-        }
-    }
-
-    fn local_addr(&self) -> io::Result<Self::Addr> {
-        Ok(self.address)
-    }
-}
-
-/// Where a request comes from.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ClientAddress(pub(crate) IpAddr);
-
-impl Connected<IncomingStream<'_, Door>> for ClientAddress {
-    fn connect_info(stream: IncomingStream<'_, Door>) -> Self {
-        Self(stream.remote_addr().ip())
     }
 }

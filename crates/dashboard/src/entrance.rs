@@ -1,11 +1,11 @@
 //! What stands before every request: who asks, from where, and under which name.
 
 use crate::api::Mistake;
-use crate::door::ClientAddress;
 use crate::gate::{Refusal, Visitor};
 use crate::health::{LIVE_PATH, READY_PATH};
 use crate::page::ASSETS;
 use crate::server::Server;
+use crate::serving::ClientAddress;
 use crate::tokens::PageRole;
 use axum::extract::rejection::JsonRejection;
 use axum::extract::{ConnectInfo, Request, State};
@@ -41,9 +41,10 @@ pub(crate) async fn pass(
     if is_free {
         return next.run(request).await;
     }
-    match server.gate().admit(request.headers(), address.0, server.since_start()) {
-        Ok(visitor) if request.method() == Method::GET || visitor.role == PageRole::Operator => {
+    match server.gate().admit_for_long(request.headers(), address.0, server.since_start()) {
+        Ok((visitor, end)) if request.method() == Method::GET || visitor.role == PageRole::Operator => {
             request.extensions_mut().insert(visitor);
+            end.and_then(|end| request.extensions_mut().insert(end));
             next.run(request).await
         }
         Ok(_) => {

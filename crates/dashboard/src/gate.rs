@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use std::net::IpAddr;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use tokio::sync::watch;
 
 /// How long a browser need not show its token again.
 const SESSION_LASTS: Duration = Duration::from_secs(12 * 3600);
@@ -27,6 +28,23 @@ const COOKIE_NAME: &str = "spandrel-session";
 pub(crate) struct Visitor {
     pub(crate) name: Name,
     pub(crate) role: PageRole,
+}
+
+/// The end of the session of a browser, for what outlives a request.
+#[derive(Clone, Debug)]
+pub(crate) struct SessionEnd {
+    until: Duration,
+    /// Says nothing; its other side goes with the session.
+    left: watch::Receiver<()>,
+}
+
+impl SessionEnd {
+    /// Waits until the session is over by time, was left, or gave way to a newer one.
+    pub(crate) async fn wait(mut self, now: Duration) {
+        let left = async { while self.left.changed().await.is_ok() {} };
+        // either is the end
+        let _ = tokio::time::timeout(self.until.saturating_sub(now), left).await;
+    }
 }
 
 /// Why somebody is not let in.
@@ -58,6 +76,7 @@ struct Inner {
 struct Session {
     visitor: Visitor,
     until: Duration,
+    left: watch::Sender<()>,
 }
 
 /// Wrong tokens of one address: how many more it may show, as of when.
@@ -94,13 +113,24 @@ impl Gate {
 
     /// Who asks, by the token or cookie of a request.
     pub(crate) fn admit(&self, headers: &HeaderMap, address: IpAddr, now: Duration) -> Result<Visitor, Refusal> {
+        self.admit_for_long(headers, address, now).map(|(visitor, _)| visitor)
+    }
+
+    /// The same with the end of the session, for those who came by one; a token is good as long as the page runs.
+    pub(crate) fn admit_for_long(
+        &self,
+        headers: &HeaderMap,
+        address: IpAddr,
+        now: Duration,
+    ) -> Result<(Visitor, Option<SessionEnd>), Refusal> {
         if let Some(secret) = bearer(headers) {
-            return self.check(secret, address, now);
+            return self.check(secret, address, now).map(|visitor| (visitor, None));
         }
         let inner = self.lock();
         let session = cookie(headers).and_then(|cookie| inner.sessions.get(&hash(cookie)));
-        let valid = session.filter(|session| session.until > now);
-        valid.map(|session| session.visitor.clone()).ok_or(Refusal::Unknown)
+        let session = session.filter(|session| session.until > now).ok_or(Refusal::Unknown)?;
+        let end = SessionEnd { until: session.until, left: session.left.subscribe() };
+        Ok((session.visitor.clone(), Some(end)))
     }
 
     /// Whose token this is; wrong ones are counted against the address.
@@ -132,7 +162,9 @@ impl Gate {
             let oldest = inner.sessions.iter().min_by_key(|(_, session)| session.until).map(|(hash, _)| hash.clone());
             oldest.and_then(|oldest| inner.sessions.remove(&oldest));
         }
-        inner.sessions.insert(hash(&secret), Session { visitor, until: now + SESSION_LASTS });
+        inner
+            .sessions
+            .insert(hash(&secret), Session { visitor, until: now + SESSION_LASTS, left: watch::Sender::new(()) });
         drop(inner);
         self.cookie(&secret, SESSION_LASTS)
     }
@@ -160,7 +192,7 @@ impl Gate {
 }
 
 /// Who has one address of IPv6 has the 2⁶⁴ around it.
-fn network_of(address: IpAddr) -> IpAddr {
+pub(crate) fn network_of(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(address) => IpAddr::V6((address.to_bits() & !u128::from(u64::MAX)).into()),
         address @ IpAddr::V4(_) => address,
@@ -181,6 +213,7 @@ fn cookie(headers: &HeaderMap) -> Option<&str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use futures_util::FutureExt as _;
 
     const HERE: IpAddr = IpAddr::V4(std::net::Ipv4Addr::new(10, 0, 0, 7));
 
@@ -225,6 +258,26 @@ mod tests {
         assert_eq!(gate.admit(&cookie, HERE, at(12 * 3600)), Err(Refusal::Unknown));
         gate.end(&cookie).unwrap();
         assert_eq!(gate.admit(&cookie, HERE, at(1)), Err(Refusal::Unknown));
+    }
+
+    #[tokio::test]
+    async fn the_end_of_a_session_is_its_time_or_that_it_was_left() {
+        let (gate, secret) = gate();
+        let enter = || {
+            let visitor = gate.check(&secret, HERE, at(0)).unwrap();
+            let told = gate.begin(visitor, at(0)).unwrap().to_str().unwrap().to_owned();
+            header(COOKIE, told.split(';').next().unwrap())
+        };
+        let (first, second) = (enter(), enter());
+        let end = |cookie: &HeaderMap| gate.admit_for_long(cookie, HERE, at(0)).unwrap().1.unwrap();
+        let (of_first, of_second) = (end(&first), end(&second));
+        assert!(of_first.clone().wait(at(0)).now_or_never().is_none(), "it goes on");
+        gate.end(&first).unwrap();
+        of_first.wait(at(0)).await;
+        assert!(of_second.clone().wait(at(12 * 3600 - 1)).now_or_never().is_none(), "it is another one");
+        of_second.wait(at(12 * 3600)).await;
+        let bearer = header(AUTHORIZATION, &format!("Bearer {secret}"));
+        assert!(gate.admit_for_long(&bearer, HERE, at(0)).unwrap().1.is_none(), "a token is no session");
     }
 
     #[test]

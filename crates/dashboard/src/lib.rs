@@ -49,6 +49,8 @@ mod listen;
 mod server;
 
 mod door;
+mod places;
+mod serving;
 
 mod api;
 mod entrance;

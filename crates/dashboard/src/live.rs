@@ -3,11 +3,12 @@
 //! Nothing is queued for a client. Each has a place in the series it reads, and gets at every tick what lies behind that
 //! place; who is slow gets it combined to fewer points, and who takes nothing for [`SEND_WITHIN`] is dropped.
 
+use crate::gate::SessionEnd;
 use crate::history::columns;
 use crate::server::{Server, now_s};
 use crate::store::Store;
 use crate::view::Standing;
-use axum::extract::ws::{Message, WebSocket};
+use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -23,17 +24,36 @@ const MOST_POINTS: usize = 200;
 /// A client that takes no message for so long is dropped.
 const SEND_WITHIN: Duration = Duration::from_secs(10);
 
-/// Serves one client until it goes, is too slow, or the dashboard stops.
-pub(crate) async fn serve(mut socket: WebSocket, server: Arc<Server>, structure: Option<String>) {
+/// Serves one client until it goes, is too slow, its session ends, or the dashboard stops.
+pub(crate) async fn serve(
+    mut socket: WebSocket,
+    server: Arc<Server>,
+    structure: Option<String>,
+    session: Option<SessionEnd>,
+) {
     let mut stopped = server.stopped();
     let ended = async move { stopped.wait_for(|stopped| *stopped).await.map(|_| ()) };
     tokio::pin!(ended);
+    let now = server.since_start();
+    let session_ended = async move {
+        match session {
+            Some(session) => session.wait(now).await,
+            None => std::future::pending().await,
+        }
+    };
+    tokio::pin!(session_ended);
     let mut tick = tokio::time::interval(TICK);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut client = Client { ticks: 0, structure, read: BTreeMap::new(), last_standing: String::new() };
     loop {
         tokio::select! {
             _ = &mut ended => return,
+            () = &mut session_ended => {
+                let why = CloseFrame { code: close_code::POLICY, reason: "the session is over".into() };
+                // who does not take it is gone
+                let _ = tokio::time::timeout(SEND_WITHIN, socket.send(Message::Close(Some(why)))).await;
+                return;
+            }
             incoming = socket.recv() => match incoming {
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return,
                 Some(Ok(_)) => {} // nothing is asked of the server here

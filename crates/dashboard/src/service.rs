@@ -2,11 +2,12 @@
 
 use crate::about::About;
 use crate::api::router;
-use crate::door::{ClientAddress, Door, PageCertificate};
+use crate::door::{Door, PageCertificate};
 use crate::error::DashboardError;
 use crate::gate::Gate;
 use crate::listen::Listening;
 use crate::server::{Server, now_ns};
+use crate::serving::serve;
 use crate::store::{Input, Store};
 use crate::tokens::Tokens;
 use spandrel_bus::{BoxedFuture, Bus, DisplayPublisher, Keys, LiveToken, Name, Service, Status};
@@ -94,10 +95,9 @@ impl DashboardService {
         Box::pin(async move {
             let acceptor = page.certificate.as_ref().map(PageCertificate::acceptor).transpose()?;
             let listener = bind(page).await?;
-            let serve = |source| DashboardError::Serve { source };
-            let address = listener.local_addr().map_err(serve)?;
+            let address = listener.local_addr().map_err(|source| DashboardError::Serve { source })?;
             let gate = Gate::new(page.tokens.clone(), acceptor.is_some());
-            let door = Door::new(listener, acceptor).map_err(serve)?;
+            let door = Door::new(listener, acceptor);
             let mut stores = Vec::new();
             let mut sources = Vec::new();
             for (structure, keys) in structures {
@@ -132,14 +132,8 @@ impl DashboardService {
 
     fn run_until(mut self, stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), DashboardError>> {
         Box::pin(async move {
-            let mut stopped = self.server.stopped();
-            let ended = async move {
-                // the server is kept until the end of this function, so that this waits for its word
-                let _ = stopped.wait_for(|stopped| *stopped).await;
-            };
-            let answering = router(self.server.clone()).into_make_service_with_connect_info::<ClientAddress>();
-            let serving = axum::serve(self.door, answering).with_graceful_shutdown(ended);
-            let mut serving = tokio::spawn(async move { serving.await });
+            let serving = serve(self.door, router(self.server.clone()), self.server.stopped());
+            let mut serving = tokio::spawn(serving);
             let listened = tokio::select! {
                 listened = listen(&mut self.sources, &self.server, &self.id) => listened,
                 served = &mut serving => return Err(broken(served)),
@@ -158,10 +152,9 @@ impl DashboardService {
     }
 }
 
-fn broken(served: Result<io::Result<()>, tokio::task::JoinError>) -> DashboardError {
+fn broken(served: Result<(), tokio::task::JoinError>) -> DashboardError {
     let source = match served {
-        Ok(Ok(())) => io::Error::other("ended before its time"),
-        Ok(Err(source)) => source,
+        Ok(()) => io::Error::other("ended before its time"),
         Err(source) => io::Error::other(source),
     };
     DashboardError::Serve { source }

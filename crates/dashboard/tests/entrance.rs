@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test that fails panics")]
 
+use futures_util::StreamExt as _;
 use rcgen::{CertificateParams, KeyPair};
 use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{ClientConfig, RootCertStore};
@@ -18,6 +19,10 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use tokio_rustls::TlsConnector;
+use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
+use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
 
 /// Only ends a hang.
 const DEADLINE: Duration = Duration::from_secs(60);
@@ -263,6 +268,38 @@ async fn a_browser_shows_its_token_once() {
         assert_eq!(site.request("GET", "/api/structures", &cookie, "").await.status, 401);
         site.end().await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_socket_ends_with_the_session_of_its_browser() {
+    let site = Site::start(Scheme::Http).await;
+    let entered = site.request("POST", "/api/session", "", &format!("{{\"token\":\"{}\"}}", site.files.viewer)).await;
+    let cookie = entered.header("set-cookie").unwrap().split(';').next().unwrap().to_owned();
+    let mut listening = Vec::new();
+    for (name, value) in [("cookie", cookie.clone()), ("authorization", format!("Bearer {}", site.files.viewer))] {
+        let mut request = format!("ws://{}/api/live", site.address).into_client_request().unwrap();
+        request.headers_mut().insert(name, value.parse().unwrap());
+        let (mut socket, _) = tokio_tungstenite::connect_async(request).await.unwrap();
+        assert!(matches!(next(&mut socket).await, Message::Text(_)));
+        listening.push(socket);
+    }
+    assert_eq!(site.request("DELETE", "/api/session", &format!("Cookie: {cookie}\r\n"), "").await.status, 200);
+    let why = loop {
+        if let Message::Close(why) = next(&mut listening[0]).await {
+            break why.unwrap();
+        }
+    };
+    assert_eq!((why.code, why.reason.as_str()), (CloseCode::Policy, "the session is over"));
+    // a token is no session
+    for _ in 0..10 {
+        assert!(matches!(next(&mut listening[1]).await, Message::Text(_)));
+    }
+    drop(listening);
+    site.end().await;
+}
+
+async fn next(socket: &mut WebSocketStream<MaybeTlsStream<TcpStream>>) -> Message {
+    tokio::time::timeout(DEADLINE, socket.next()).await.expect("a message in time").unwrap().unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,26 +1,30 @@
 //! The database: SQLite in a file, or a PostgreSQL server; the same statements for both.
 
-use crate::batch::{Batch, Happened, Kind, RESOLUTIONS_S, Series};
+mod writing;
+
+use crate::batch::{Batch, Kind, RESOLUTIONS_S, Series};
 use crate::error::HistoryError;
 use crate::settings::{Address, Keep};
 use crate::sums::{Sums, rows};
-use spandrel_bus::{HistoryLog, HistorySpan, Name, SpanQuery};
+use spandrel_bus::{Acknowledgement, AlertMessage, Event, HistoryLog, HistorySpan, Name, SpanQuery};
 use sqlx::any::{AnyPoolOptions, AnyRow, install_default_drivers};
 use sqlx::migrate::{MigrateError, Migration, MigrationType, Migrator};
-use sqlx::{AnyConnection, AnyPool, AssertSqlSafe, Executor, Row, SqlSafeStr};
+use sqlx::{AnyPool, AssertSqlSafe, Executor, Row, SqlSafeStr};
 use std::borrow::Cow;
 use std::collections::HashMap;
-use std::fmt::Write as _;
+use std::fs::OpenOptions;
+use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::{Mutex, OnceCell};
+use tracing::warn;
+use writing::{Care, Failed, SetAside, Writing};
 
 /// Connections at most: one writes, the others answer.
 const CONNECTIONS: u32 = 4;
 /// Time for the database to answer a call for a connection.
 const CONNECT_WITHIN: Duration = Duration::from_secs(5);
-/// Rows of one statement.
-const ROWS_AT_ONCE: usize = 100;
 /// Rows that an answer is made from at most; with more, a coarser resolution answers.
 const MOST_ROWS: i64 = 50_000;
 /// Interval of displayed values (ns): ten a second.
@@ -35,6 +39,8 @@ pub(crate) struct Database {
     migrated: Arc<OnceCell<()>>,
     /// Numbers of the series that are known to be there.
     numbers: Arc<Mutex<HashMap<(String, Series), i64>>>,
+    /// Rows that it will never take.
+    set_aside: Arc<AtomicU64>,
 }
 
 impl Database {
@@ -46,18 +52,23 @@ impl Database {
             move |connection, _| {
                 Box::pin(async move {
                     if is_file {
-                        // readers see the last written state while the next one is written; a crash of the machine may lose
-                        // the last seconds, never the file
-                        connection.execute("PRAGMA journal_mode = WAL").await?;
-                        connection.execute("PRAGMA synchronous = NORMAL").await?;
                         connection.execute("PRAGMA busy_timeout = 5000").await?;
+                        // a file that cannot be read now says why to whoever reads or writes; refused here it would only seem to
+                        // be late
+                        let _ = connection.execute("PRAGMA synchronous = NORMAL").await;
                     }
                     Ok(())
                 })
             },
         );
         let pool = options.connect_lazy(&address.url()).map_err(|source| database_error(address, source))?;
-        Ok(Self { pool, address: address.clone(), migrated: Arc::default(), numbers: Arc::default() })
+        Ok(Self {
+            pool,
+            address: address.clone(),
+            migrated: Arc::default(),
+            numbers: Arc::default(),
+            set_aside: Arc::default(),
+        })
     }
 
     fn error(&self, source: sqlx::Error) -> HistoryError {
@@ -66,45 +77,89 @@ impl Database {
 
     /// Brings the tables to the version of this program, once.
     pub(crate) async fn ready(&self) -> Result<(), HistoryError> {
-        let migrate = || async {
-            let sql = match self.address {
-                Address::Sqlite(_) => include_str!("../migrations/sqlite-1.sql"),
-                Address::Postgres(_) => include_str!("../migrations/postgres-1.sql"),
-            };
-            let first = Migration::new(1, Cow::Borrowed("history"), MigrationType::Simple, sql.into_sql_str(), false);
-            let migrated = Migrator::with_migrations(vec![first]).run(&self.pool).await;
-            migrated.map_err(|source| match source {
-                MigrateError::Execute(source) => self.error(source),
-                source => HistoryError::Version { database: self.address.to_string(), source },
-            })
-        };
-        self.migrated.get_or_try_init(migrate).await.copied()
+        self.migrated.get_or_try_init(|| self.migrate()).await.copied()
     }
 
-    /// Writes batches, all or none; what an earlier attempt of the same life has written is left out.
+    async fn migrate(&self) -> Result<(), HistoryError> {
+        let sql = match &self.address {
+            Address::Sqlite(path) => {
+                make_file(path)?;
+                // stays in the file: readers see the last written state while the next one is written; a crash of the machine may
+                // lose the last seconds, never the file
+                let journal = sqlx::query("PRAGMA journal_mode = WAL").execute(&self.pool).await;
+                journal.map_err(|source| self.error(source))?;
+                include_str!("../migrations/sqlite-1.sql")
+            }
+            Address::Postgres(_) => include_str!("../migrations/postgres-1.sql"),
+        };
+        let first = Migration::new(1, Cow::Borrowed("history"), MigrationType::Simple, sql.into_sql_str(), false);
+        let migrated = Migrator::with_migrations(vec![first]).run(&self.pool).await;
+        migrated.map_err(|source| match source {
+            MigrateError::Execute(source) | MigrateError::ExecuteMigration(source, _) => self.error(source),
+            source => HistoryError::Version { database: self.address.to_string(), source },
+        })
+    }
+
+    /// Writes batches, all or none; what an earlier attempt of the same life has written is left out. A row that the database will
+    /// never take is set aside, counted and told: it must not keep all that come after it.
     pub(crate) async fn write(&self, life: &str, batches: &[Arc<Batch>]) -> Result<(), HistoryError> {
-        let Some(last) = batches.last() else { return Ok(()) };
+        if batches.is_empty() {
+            return Ok(());
+        }
         self.ready().await?;
         let mut numbers = self.numbers.lock().await;
-        let mut connection = self.pool.acquire().await.map_err(|source| self.error(source))?;
-        let mut found = HashMap::new();
+        let written = match self.write_once(life, batches, &mut numbers, Care::ManyRowsAtOnce).await {
+            Err(failed) if failed.is_of_the_rows(&self.address) => {
+                self.write_once(life, batches, &mut numbers, Care::SettingAside).await
+            }
+            written => written,
+        };
+        written.map_err(|failed| match failed {
+            Failed::Database(source) => self.error(source),
+            Failed::Message(source) => source.into(),
+        })
+    }
+
+    async fn write_once(
+        &self,
+        life: &str,
+        batches: &[Arc<Batch>],
+        numbers: &mut HashMap<(String, Series), i64>,
+        care: Care,
+    ) -> Result<(), Failed> {
+        let mut connection = self.pool.acquire().await?;
         let written = async {
             connection.execute("BEGIN").await?;
-            write_all(&mut connection, &numbers, &mut found, life, batches, last.number).await?;
+            let mut writing = Writing::new(&mut connection, &self.address, care, numbers);
+            writing.write_all(life, batches).await?;
+            let (found, set_aside) = writing.end();
             connection.execute("COMMIT").await?;
-            Ok(())
+            Ok((found, set_aside))
         };
-        if let Err(failed) = written.await {
-            // SQLite rolls back by itself when the disk is full, but not after every failure: how a connection stands that has failed
-            // is not known, and what is written on it next might never be committed
-            connection.close_on_drop();
-            return Err(match failed {
-                Failed::Database(source) => self.error(source),
-                Failed::Message(source) => source.into(),
-            });
+        match written.await {
+            Ok((found, SetAside { rows, reason })) => {
+                numbers.extend(found);
+                let before = self.set_aside.fetch_add(rows, Ordering::Relaxed);
+                let total = before + rows;
+                // a value that no sum can hold comes again with every second: told each time the count has doubled
+                let has_doubled = before == 0 || total.ilog2() > before.ilog2();
+                if let Some(reason) = reason.filter(|_| has_doubled) {
+                    warn!(rows = total, reason, "the history database can never take some rows, they are left out");
+                }
+                Ok(())
+            }
+            Err(failed) => {
+                // SQLite rolls back by itself when the disk is full, but not after every failure: how a connection stands that has failed
+                // is not known, and what is written on it next might never be committed
+                connection.close_on_drop();
+                Err(failed)
+            }
         }
-        numbers.extend(found);
-        Ok(())
+    }
+
+    /// Rows that were set aside, because the database will never take them.
+    pub(crate) fn set_aside(&self) -> u64 {
+        self.set_aside.load(Ordering::Relaxed)
     }
 
     /// Reads one quantity of a structure (`root/structure`) over a span of time.
@@ -254,9 +309,11 @@ impl Database {
             let text = |column: usize| row.try_get::<String, _>(column).map_err(|source| self.error(source));
             let (kind, message) = (text(0)?, text(1)?);
             match kind.as_str() {
-                "alert" => log.alerts.push(serde_json::from_str(&message)?),
-                "acknowledgement" => log.acknowledgements.push(serde_json::from_str(&message)?),
-                _ => log.events.push(serde_json::from_str(&message)?),
+                "alert" => log.alerts.push(serde_json::from_str::<AlertMessage>(&message)?.legible()),
+                "acknowledgement" => {
+                    log.acknowledgements.push(serde_json::from_str::<Acknowledgement>(&message)?.legible());
+                }
+                _ => log.events.push(serde_json::from_str::<Event>(&message)?.legible()),
             }
         }
         Ok(log)
@@ -296,6 +353,16 @@ impl Database {
     }
 }
 
+/// Makes the file and its folder where they are not there yet: the system says more of why it cannot than SQLite.
+fn make_file(path: &Path) -> Result<(), HistoryError> {
+    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        let made = std::fs::create_dir_all(folder);
+        made.map_err(|source| HistoryError::Folder { path: folder.to_owned(), source })?;
+    }
+    let opened = OpenOptions::new().append(true).create(true).open(path);
+    opened.map(drop).map_err(|source| HistoryError::File { path: path.to_owned(), source })
+}
+
 fn database_error(address: &Address, source: sqlx::Error) -> HistoryError {
     HistoryError::Database { database: address.to_string(), source }
 }
@@ -306,178 +373,6 @@ async fn first<'q>(
     pool: &AnyPool,
 ) -> Result<Option<i64>, sqlx::Error> {
     query.fetch_optional(pool).await?.map(|row| row.try_get(0)).transpose()
-}
-
-enum Failed {
-    Database(sqlx::Error),
-    Message(serde_json::Error),
-}
-
-impl From<sqlx::Error> for Failed {
-    fn from(source: sqlx::Error) -> Self {
-        Self::Database(source)
-    }
-}
-
-impl From<serde_json::Error> for Failed {
-    fn from(source: serde_json::Error) -> Self {
-        Self::Message(source)
-    }
-}
-
-async fn write_all(
-    connection: &mut AnyConnection,
-    numbers: &HashMap<(String, Series), i64>,
-    found: &mut HashMap<(String, Series), i64>,
-    life: &str,
-    batches: &[Arc<Batch>],
-    last: i64,
-) -> Result<(), Failed> {
-    let written = sqlx::query("SELECT batch FROM writer WHERE id = $1")
-        .bind(life.to_owned())
-        .fetch_optional(&mut *connection)
-        .await?;
-    let written: i64 = written.map(|row| row.try_get(0)).transpose()?.unwrap_or(0);
-    for batch in batches.iter().filter(|batch| batch.number > written) {
-        let series =
-            batch.points.iter().map(|(series, ..)| series).chain(batch.buckets.keys().map(|(series, ..)| series));
-        for series in series {
-            let key = (batch.structure.clone(), series.clone());
-            if !numbers.contains_key(&key) && !found.contains_key(&key) {
-                let number = number_of(connection, &key.0, series).await?;
-                found.insert(key, number);
-            }
-        }
-        let number = |series: &Series| {
-            let key = (batch.structure.clone(), series.clone());
-            numbers.get(&key).or_else(|| found.get(&key)).copied().unwrap_or_default()
-        };
-        write_points(connection, batch, &number).await?;
-        write_buckets(connection, batch, &number).await?;
-        for happened in &batch.happened {
-            write_happened(connection, &batch.structure, happened).await?;
-        }
-    }
-    let statement =
-        "INSERT INTO writer (id, batch) VALUES ($1, $2) ON CONFLICT (id) DO UPDATE SET batch = excluded.batch";
-    sqlx::query(statement).bind(life.to_owned()).bind(last).execute(connection).await?;
-    Ok(())
-}
-
-/// The number of a series, a new one if it has none.
-async fn number_of(connection: &mut AnyConnection, structure: &str, series: &Series) -> Result<i64, sqlx::Error> {
-    let statement = "INSERT INTO series (id, structure, kind, name) \
-                     SELECT COALESCE(MAX(id), 0) + 1, $1, $2, $3 FROM series WHERE TRUE \
-                     ON CONFLICT (structure, kind, name) DO NOTHING";
-    let (kind, name) = (series.kind.as_str(), series.name.clone());
-    let insert = sqlx::query(statement).bind(structure.to_owned()).bind(kind).bind(name.clone());
-    insert.execute(&mut *connection).await?;
-    let select = sqlx::query("SELECT id FROM series WHERE structure = $1 AND kind = $2 AND name = $3");
-    select.bind(structure.to_owned()).bind(kind).bind(name).fetch_one(connection).await?.try_get(0)
-}
-
-/// `($1, $2), ($3, $4)` for two rows of two columns.
-fn placeholders(rows: usize, columns: usize) -> String {
-    let mut text = String::new();
-    for row in 0..rows {
-        text.push_str(if row == 0 { "(" } else { ", (" });
-        for column in 1..=columns {
-            // writing to a String does not fail
-            let _ = write!(text, "{}${}", if column == 1 { "" } else { ", " }, row * columns + column);
-        }
-        text.push(')');
-    }
-    text
-}
-
-async fn write_points(
-    connection: &mut AnyConnection,
-    batch: &Batch,
-    number: &impl Fn(&Series) -> i64,
-) -> Result<(), sqlx::Error> {
-    for points in batch.points.chunks(ROWS_AT_ONCE) {
-        let statement = format!(
-            "INSERT INTO point (series, time_ns, mean, std, probability) VALUES {} ON CONFLICT DO NOTHING",
-            placeholders(points.len(), 5)
-        );
-        let mut insert = sqlx::query(AssertSqlSafe(statement)).persistent(points.len() == ROWS_AT_ONCE);
-        for (series, time_ns, [mean, std, probability]) in points {
-            insert = insert.bind(number(series)).bind(*time_ns).bind(*mean).bind(*std).bind(*probability);
-        }
-        insert.execute(&mut *connection).await?;
-    }
-    Ok(())
-}
-
-async fn write_buckets(
-    connection: &mut AnyConnection,
-    batch: &Batch,
-    number: &impl Fn(&Series) -> i64,
-) -> Result<(), sqlx::Error> {
-    const COLUMNS: [&str; 14] = [
-        "series",
-        "resolution_s",
-        "start_s",
-        "first_ns",
-        "last_ns",
-        "count",
-        "mean_sum",
-        "square_sum",
-        "variance_sum",
-        "least",
-        "largest",
-        "low",
-        "high",
-        "probability",
-    ];
-    // SQLite and PostgreSQL have other words for the lesser and the larger of two
-    let lesser = |c: &str| format!("{c} = CASE WHEN excluded.{c} < bucket.{c} THEN excluded.{c} ELSE bucket.{c} END");
-    let larger = |c: &str| format!("{c} = CASE WHEN excluded.{c} > bucket.{c} THEN excluded.{c} ELSE bucket.{c} END");
-    let sum = |c: &str| format!("{c} = bucket.{c} + excluded.{c}");
-    let updates: Vec<String> = ["count", "mean_sum", "square_sum", "variance_sum"]
-        .map(sum)
-        .into_iter()
-        .chain(["first_ns", "least", "low"].map(lesser))
-        .chain(["last_ns", "largest", "high", "probability"].map(larger))
-        .collect();
-    let buckets: Vec<_> = batch.buckets.iter().collect();
-    for buckets in buckets.chunks(ROWS_AT_ONCE) {
-        let statement = format!(
-            "INSERT INTO bucket ({}) VALUES {} ON CONFLICT (series, resolution_s, start_s) DO UPDATE SET {}",
-            COLUMNS.join(", "),
-            placeholders(buckets.len(), COLUMNS.len()),
-            updates.join(", ")
-        );
-        let mut insert = sqlx::query(AssertSqlSafe(statement)).persistent(buckets.len() == ROWS_AT_ONCE);
-        for ((series, resolution_s, start_s), sums) in buckets {
-            insert = insert.bind(number(series)).bind(*resolution_s).bind(*start_s);
-            insert = insert.bind(sums.first_ns).bind(sums.last_ns).bind(sums.count);
-            insert = insert.bind(sums.mean_sum).bind(sums.square_sum).bind(sums.variance_sum);
-            insert = insert.bind(sums.least).bind(sums.largest).bind(sums.low).bind(sums.high).bind(sums.probability);
-        }
-        insert.execute(&mut *connection).await?;
-    }
-    Ok(())
-}
-
-async fn write_happened(connection: &mut AnyConnection, structure: &str, happened: &Happened) -> Result<(), Failed> {
-    let (time_ns, kind, subject, state, message) = match happened {
-        Happened::Alert(m) => {
-            (m.time_ns, "alert", m.parameter.to_string(), m.state.as_str().to_owned(), serde_json::to_string(m)?)
-        }
-        Happened::Acknowledgement(m) => {
-            (m.time_ns, "acknowledgement", m.parameter.to_string(), m.who.clone(), serde_json::to_string(m)?)
-        }
-        Happened::Event(m) => {
-            let kind = serde_json::to_string(&m.kind)?;
-            (m.time_ns, "event", m.subject.clone(), kind, serde_json::to_string(m)?)
-        }
-    };
-    let statement = "INSERT INTO happened (structure, time_ns, kind, subject, state, message) \
-                     VALUES ($1, $2, $3, $4, $5, $6) ON CONFLICT DO NOTHING";
-    let insert = sqlx::query(statement).bind(structure.to_owned()).bind(time_ns).bind(kind).bind(subject);
-    insert.bind(state).bind(message).execute(connection).await?;
-    Ok(())
 }
 
 impl Series {

@@ -1,6 +1,8 @@
 //! What can go wrong with the history.
 
+use crate::settings::Address;
 use spandrel_bus::BusError;
+use std::io::ErrorKind;
 use std::path::PathBuf;
 
 /// Errors of the history service.
@@ -16,6 +18,14 @@ pub enum HistoryError {
     #[error("{}: cannot make the folder of the history", path.display())]
     Folder {
         /// The folder.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The file cannot be made or opened.
+    #[error("{}: cannot be opened as the file of the history", path.display())]
+    File {
+        /// The file.
         path: PathBuf,
         /// What the system says.
         source: std::io::Error,
@@ -47,4 +57,30 @@ pub enum HistoryError {
     /// A key is none.
     #[error(transparent)]
     Name(#[from] spandrel_bus::NameError),
+}
+
+impl HistoryError {
+    /// Whether it may pass by itself, as a full disk does or a server that is not there yet; a path that is wrong stays wrong.
+    pub(crate) fn may_pass(&self, address: &Address) -> bool {
+        match (self, address) {
+            (Self::Folder { source, .. } | Self::File { source, .. }, _) => !matches!(
+                source.kind(),
+                ErrorKind::IsADirectory
+                    | ErrorKind::NotADirectory
+                    | ErrorKind::NotFound
+                    | ErrorKind::PermissionDenied
+                    | ErrorKind::ReadOnlyFilesystem
+                    | ErrorKind::AlreadyExists
+                    | ErrorKind::InvalidFilename
+            ),
+            (Self::Database { .. }, Address::Postgres(_)) => true,
+            (Self::Database { source, .. }, Address::Sqlite(_)) => {
+                let code = source.as_database_error().and_then(|error| error.code());
+                let code = code.and_then(|code| code.parse::<u32>().ok()).map(|code| code & 0xff);
+                // input or output failed, full, and cannot open: the file itself could be opened, so it is one beside it
+                matches!(code, Some(10 | 13 | 14))
+            }
+            _ => false,
+        }
+    }
 }

@@ -93,7 +93,7 @@ struct Source {
 
 impl HistoryService {
     /// Opens the database, listens to the bus and shows liveliness tokens; `id` names this instance. A server that does not answer
-    /// yet is tried again; a file that cannot be used is an error.
+    /// yet is tried again, and so is a file on a disk that is full or fails; a path where no file can be is an error.
     ///
     /// # Errors
     /// When the file or its tables cannot be used, or the bus refuses a declaration.
@@ -105,25 +105,20 @@ impl HistoryService {
         id: Name,
     ) -> BoxedFuture<'a, Result<Self, HistoryError>> {
         Box::pin(async move {
-            if let Address::Sqlite(file) = address
-                && let Some(folder) = file.parent().filter(|folder| !folder.as_os_str().is_empty())
-            {
-                let made = std::fs::create_dir_all(folder);
-                made.map_err(|source| HistoryError::Folder { path: folder.to_owned(), source })?;
-            }
             let database = Database::new(address)?;
-            match (database.ready().await, address) {
-                (Ok(()), _) => {}
-                (Err(error @ HistoryError::Database { .. }), Address::Postgres(_)) => {
-                    warn!(%error, reason = reason(&error), "history waits for its database");
+            let waiting = Arc::<Waiting>::default();
+            if let Err(error) = database.ready().await {
+                if !error.may_pass(address) {
+                    return Err(error);
                 }
-                (Err(error), _) => return Err(error),
+                waiting.failures.fetch_add(1, Ordering::Relaxed);
+                warn!(%error, reason = reason(&error), "history waits for its database");
             }
             let mut service = Self {
                 sources: Vec::new(),
                 database,
                 keep,
-                waiting: Arc::default(),
+                waiting,
                 life: format!("{}-{}", now_ns(), std::process::id()),
                 service: Name::new(Service::History.as_str())?,
                 id,
@@ -289,6 +284,7 @@ impl HistoryService {
         let common = [
             ("dropped-values", points),
             ("dropped-rows", rows),
+            ("rows-set-aside", self.database.set_aside()),
             ("failed-writes", self.waiting.failures.load(Ordering::Relaxed)),
         ];
         for source in &self.sources {

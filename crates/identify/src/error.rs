@@ -31,6 +31,19 @@ pub enum IdentifyError {
         /// Why.
         source: NameError,
     },
+    /// Nobody could stand by: what is known cannot be handed over.
+    #[error(
+        "structure {structure} cannot have a standby: its state has {bytes} bytes, must have at most {most} to be handed over; \
+         leave --standby out"
+    )]
+    StateTooLarge {
+        /// The structure.
+        structure: String,
+        /// Size of the message with its state.
+        bytes: usize,
+        /// Size of the largest message.
+        most: usize,
+    },
     /// What the service remembers cannot be kept.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),

@@ -99,6 +99,9 @@ impl IdentifyService {
                 None => None,
             };
             let core = Identification::new(structure, id.as_str())?;
+            if matches!(precedence, Precedence::StandsBy) {
+                standing::check_size(structure, &core)?;
+            }
             let mut service = Self {
                 structure: structure.clone(),
                 trouble: Trouble::default(),

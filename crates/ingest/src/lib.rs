@@ -42,6 +42,7 @@ mod lateness;
 mod error;
 mod recorder;
 mod shell;
+mod waiting;
 
 pub use align::{Alignment, Input, NodePlace};
 pub use counts::Counts;

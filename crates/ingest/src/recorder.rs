@@ -1,11 +1,10 @@
 //! Every frame on the disk before anybody hears of it.
 
-use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use spandrel_bus::{Archive, Block, FrameBlock, Header, StreamState};
+use spandrel_bus::{Archive, FrameBlock, Header, StreamState};
 use spandrel_record::{
     FrameLog, FrameLogReader, LogLayout, LogSettings, LogSyncer, LoggedFrames, NodePosition, RecordError,
 };
@@ -16,9 +15,8 @@ use tracing::{info, warn};
 use crate::align::NodePlace;
 use crate::error::IngestError;
 use crate::layout::Layout;
+use crate::waiting::Waiting;
 
-/// Frames that wait for a disk that refuses, at most; more are lost to the recording, and counted.
-const MOST_WAITING: u64 = 131_072;
 /// Pause before a disk that has refused is tried again.
 const RETRY: Duration = Duration::from_millis(500);
 
@@ -51,10 +49,9 @@ pub(crate) struct Recorder {
     /// never locked: a writer of MCAP may be sent to another thread, but not shared
     log: Mutex<FrameLog>,
     reader: FrameLogReader,
-    /// blocks that the disk has refused, oldest first
-    waiting: VecDeque<LoggedFrames>,
-    frames_waiting: u64,
-    frames_lost: u64,
+    waiting: Waiting,
+    /// what is noted on the disk of whether all frames that were put are recorded; none where nothing is
+    is_noted_complete: Option<bool>,
     refused_at: Option<Instant>,
     sync_every: Duration,
     synced: Instant,
@@ -82,15 +79,14 @@ impl Recorder {
         for path in &opened.set_aside {
             warn!(structure, file = %path.display(), "no part of this recording can be read; it is set aside");
         }
-        let is_whole = opened.was_closed || opened.same_boot;
+        let is_whole = opened.is_complete != Some(false) && (opened.was_closed || opened.same_boot);
         let past = opened.last.map(|last| Past { nodes: places(&last), last: to_block(last), is_whole });
         let recorder = Self {
             structure: structure.to_owned(),
             reader: log.reader(),
             log: Mutex::new(log),
-            waiting: VecDeque::new(),
-            frames_waiting: 0,
-            frames_lost: 0,
+            waiting: Waiting::default(),
+            is_noted_complete: opened.is_complete,
             refused_at: None,
             sync_every: settings.sync_every,
             synced: Instant::now(),
@@ -110,18 +106,12 @@ impl Recorder {
         let last = blocks.len().saturating_sub(1);
         for (number, block) in blocks.iter().enumerate() {
             let nodes = if number == last { places } else { &[] };
-            self.frames_waiting += block.count();
-            self.waiting.push_back(to_logged(block, nodes));
+            self.waiting.push(to_logged(block, nodes));
         }
         if self.refused_at.is_none_or(|refused| refused.elapsed() >= RETRY) {
             self.write_waiting();
         }
-        while self.frames_waiting > MOST_WAITING {
-            let Some(oldest) = self.waiting.pop_front() else { break };
-            let frames = count(&oldest);
-            self.frames_waiting -= frames;
-            self.frames_lost += frames;
-        }
+        self.waiting.lose_what_is_too_much();
     }
 
     /// Tries again what the disk has refused, and forces to the disk what it has taken, when it is time to.
@@ -149,31 +139,48 @@ impl Recorder {
 
     /// What a status tells of it.
     pub(crate) fn drops(&self) -> impl Iterator<Item = (String, u64)> {
-        let counts = [("frames-waiting-for-the-disk", self.frames_waiting), ("frames-not-recorded", self.frames_lost)];
+        let (waiting, lost) = (self.waiting.frames(), self.waiting.lost());
+        let counts = [("frames-waiting-for-the-disk", waiting), ("frames-not-recorded", lost)];
         counts.into_iter().filter(|(_, count)| *count > 0).map(|(reason, count)| (reason.to_owned(), count))
     }
 
+    /// Writes what waits, piece by piece, until the disk refuses.
     fn write_waiting(&mut self) {
-        if self.waiting.is_empty() {
-            return;
-        }
         let structure = self.structure.as_str();
         let log = self.log.get_mut().unwrap_or_else(PoisonError::into_inner);
-        match log.append(self.waiting.make_contiguous()) {
-            Ok(()) => {
-                if self.refused_at.take().is_some() {
-                    let (written, lost) = (self.frames_waiting, self.frames_lost);
-                    info!(structure, written, lost, "the disk takes the recording again");
-                }
-                self.waiting.clear();
-                self.frames_waiting = 0;
+        let before = self.waiting.frames();
+        loop {
+            let piece = self.waiting.piece();
+            if piece.is_empty() {
+                break;
             }
-            Err(error) => {
-                if self.refused_at.is_none() {
-                    warn!(structure, %error, "the recording cannot be written: frames wait in memory and are watched all the same");
+            let blocks = piece.len();
+            match log.append(piece) {
+                Ok(()) => self.waiting.written(blocks),
+                Err(error) => {
+                    if self.refused_at.is_none() {
+                        warn!(structure, %error, "the recording cannot be written: frames wait in memory and are watched all the same");
+                    }
+                    self.refused_at = Some(Instant::now());
+                    // before any of them is put: their numbers must not come again with other samples
+                    if self.is_noted_complete != Some(false) {
+                        match log.note_complete(false) {
+                            Ok(()) => self.is_noted_complete = Some(false),
+                            Err(error) => {
+                                warn!(structure, %error, "a crash before the disk takes the recording again goes unnoticed")
+                            }
+                        }
+                    }
+                    return;
                 }
-                self.refused_at = Some(Instant::now());
             }
+        }
+        if self.refused_at.take().is_some() {
+            info!(structure, written = before, lost = self.waiting.lost(), "the disk takes the recording again");
+        }
+        // where the disk has no room for that it is tried again, and until then a crash begins a new epoch
+        if before > 0 && self.is_noted_complete != Some(true) && log.note_complete(true).is_ok() {
+            self.is_noted_complete = Some(true);
         }
     }
 
@@ -205,10 +212,6 @@ impl Archive<FrameBlock> for RecordedFrames {
     fn epoch_after(&self, epoch: u64) -> Option<u64> {
         self.reader.next_epoch(Some(epoch))
     }
-}
-
-fn count(frames: &LoggedFrames) -> u64 {
-    (frames.values.len() / usize::from(frames.channels).max(1)) as u64
 }
 
 fn places(frames: &LoggedFrames) -> Vec<NodePlace> {

@@ -39,6 +39,7 @@
 
 use std::borrow::Cow;
 use std::fs::{File, OpenOptions, TryLockError};
+use std::os::unix::fs::FileExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -73,6 +74,8 @@ use crate::RecordError;
 const MOST_CHUNKS: u32 = 1 << 12;
 /// Name of the file that is locked while the log is open.
 const LOCK: &str = "lock";
+/// What stands in it where the log is complete. Where it is not the first letter stands alone: a full disk lets a file be cut.
+const COMPLETE: &[u8] = b"complete";
 const NANOSECONDS: u64 = 1_000_000_000;
 
 /// How long segments are, and how many are kept.
@@ -104,6 +107,8 @@ pub struct OpenedLog {
     pub was_closed: bool,
     /// Whether the newest segment was written since this machine was started; true where that cannot be told.
     pub same_boot: bool,
+    /// What was noted last with [`FrameLog::note_complete`]; none where nothing was.
+    pub is_complete: Option<bool>,
     /// Bytes that were cut off behind the last whole chunk.
     pub torn_bytes: u64,
     /// Segments in which nothing could be read: where they are now.
@@ -130,7 +135,7 @@ pub struct FrameLog {
     segment: Option<OpenSegment>,
     segment_start_ns: i64,
     syncer: LogSyncer,
-    _lock: File,
+    lock: File,
 }
 
 impl std::fmt::Debug for FrameLog {
@@ -156,7 +161,7 @@ impl FrameLog {
         let lock = locked(folder)?;
         let shared = Arc::new(Folder::read(folder)?);
         let stated = StatedLayout { layout, boot_id: layout::boot_id() };
-        let opened = opening::newest(&shared, &stated)?;
+        let opened = OpenedLog { is_complete: noted(&lock), ..opening::newest(&shared, &stated)? };
         let end = opened.last.as_ref().map(LogEnd::of);
         let newest_ns = opened.last.as_ref().map(LoggedFrames::last_time_ns);
         let log = Self {
@@ -167,7 +172,7 @@ impl FrameLog {
             segment: None,
             segment_start_ns: 0,
             syncer: LogSyncer::new(folder),
-            _lock: lock,
+            lock,
         };
         if let Some(newest_ns) = newest_ns {
             log.delete_older_than(newest_ns)?;
@@ -222,6 +227,20 @@ impl FrameLog {
         }
         let _ = self.delete_beyond_size();
         Ok(())
+    }
+
+    /// Notes on the disk whether the log has all frames that others may know of, for whoever opens it after a crash. That it has
+    /// not can be noted on a full disk as well.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn note_complete(&self, is_complete: bool) -> Result<(), RecordError> {
+        let noted = match is_complete {
+            true => self.lock.write_all_at(COMPLETE, 0),
+            false => self.lock.set_len(1),
+        };
+        let path = || self.folder.path().join(LOCK);
+        noted.and_then(|()| self.lock.sync_data()).map_err(|source| RecordError::WriteLog { path: path(), source })
     }
 
     /// What brings the log to the disk itself, on any thread.
@@ -372,12 +391,21 @@ pub(crate) fn is_lock(file_name: &str) -> bool {
 /// The lock of a folder, which lasts as long as the file is open.
 fn locked(folder: &Path) -> Result<File, RecordError> {
     let path = folder.join(LOCK);
-    let opened = OpenOptions::new().create(true).write(true).truncate(false).open(&path);
+    let opened = OpenOptions::new().create(true).read(true).write(true).truncate(false).open(&path);
     let file = opened.map_err(|source| RecordError::WriteLog { path: path.clone(), source })?;
     match file.try_lock() {
         Ok(()) => Ok(file),
         Err(TryLockError::WouldBlock) => Err(RecordError::LogInUse { folder: folder.to_owned() }),
         Err(TryLockError::Error(source)) => Err(RecordError::WriteLog { path, source }),
+    }
+}
+
+/// What is noted in the locked file; nothing in that of an earlier version.
+fn noted(lock: &File) -> Option<bool> {
+    let mut found = [0; COMPLETE.len()];
+    match lock.metadata() {
+        Ok(metadata) if metadata.len() == 0 => None,
+        _ => Some(lock.read_exact_at(&mut found, 0).is_ok() && found == COMPLETE),
     }
 }
 

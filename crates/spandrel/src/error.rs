@@ -2,7 +2,7 @@
 
 use spandrel_access::AccessError;
 use spandrel_alert::AlertError;
-use spandrel_bus::{BusError, NameError};
+use spandrel_bus::{BusError, NameError, TlsError};
 use spandrel_dashboard::DashboardError;
 use spandrel_history::HistoryError;
 use spandrel_identify::IdentifyError;
@@ -240,6 +240,8 @@ impl AppError {
     /// Bad input files and bad usage are 2, everything else is 1.
     pub fn exit_code(&self) -> ExitCode {
         match self {
+            // a clock that is set later, or a new certificate, mends it: whoever starts this program is to try again
+            Self::Bus(BusError::Tls(TlsError::NotInTime { .. })) => ExitCode::FAILURE,
             Self::Structure(_)
             | Self::Record(_)
             | Self::NoConfiguration { .. }
@@ -276,6 +278,7 @@ impl AppError {
             | Self::Validate(ValidateError::UnknownCase { .. } | ValidateError::File { .. })
             | Self::Sensor(SensorError::Record(_))
             | Self::Ingest(IngestError::Record(RecordError::OtherLog { .. }))
+            | Self::Identify(IdentifyError::StateTooLarge { .. })
             | Self::CertificateOfNone { .. }
             | Self::WrongRole { .. }
             | Self::Access(

@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::parameter::{ParameterDisplay, probability_below};
-use super::{CredibleInterval, Format, Malformed, Message, check_finite, check_range, check_text};
+use super::text::{mend_label, mend_text};
+use super::{CredibleInterval, Format, Malformed, Message, check_finite, check_label, check_range, check_text};
 use crate::name::Name;
 
 /// Where the alert of a parameter stands.
@@ -77,6 +78,14 @@ pub struct AlertMessage {
 }
 
 impl AlertMessage {
+    /// The same as it may be sent, of one that was kept when more was allowed.
+    #[must_use]
+    pub fn legible(mut self) -> Self {
+        self.acknowledged_by.iter_mut().for_each(mend_label);
+        mend_text(&mut self.why);
+        self
+    }
+
     /// What a value shown later says of the loss that this alert is about, in words: loss, estimate with its interval, and the
     /// probability of the loss that the rule asks about. None where there is nothing to compare: no alert, a reference that is
     /// being learnt, or a value that is not newer than the decision.
@@ -143,7 +152,7 @@ impl Message for AlertMessage {
             check_finite(what, value.unwrap_or(0.0))?;
         }
         if let Some(who) = &self.acknowledged_by {
-            check_text("acknowledged by", who)?;
+            check_label("acknowledged by", who)?;
         }
         check_text("why", &self.why)
     }

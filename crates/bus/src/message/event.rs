@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Format, Malformed, Message, check_text};
+use super::text::{mend_label, mend_text};
+use super::{Format, Malformed, Message, check_label, check_text};
 use crate::name::Name;
 
 /// The kinds of events.
@@ -46,12 +47,24 @@ pub struct Event {
     pub time_ns: i64,
     /// The kind.
     pub kind: EventKind,
-    /// Whom it concerns: a node, channel, parameter or service.
+    /// Whom it concerns: a node, channel, parameter or service; at most [`MAX_LABEL_BYTES`](super::MAX_LABEL_BYTES), without
+    /// control characters.
     pub subject: String,
     /// What happened, in words.
     pub what: String,
     /// Why, in words.
     pub why: String,
+}
+
+impl Event {
+    /// The same as it may be sent, of one that was kept when more was allowed.
+    #[must_use]
+    pub fn legible(mut self) -> Self {
+        mend_label(&mut self.subject);
+        mend_text(&mut self.what);
+        mend_text(&mut self.why);
+        self
+    }
 }
 
 impl Message for Event {
@@ -60,7 +73,7 @@ impl Message for Event {
     const FORMAT: Format = Format::Json;
 
     fn check(&self) -> Result<(), Malformed> {
-        check_text("subject", &self.subject)?;
+        check_label("subject", &self.subject)?;
         check_text("what", &self.what)?;
         check_text("why", &self.why)
     }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     Acknowledgement, AlertMessage, Event, Format, MAX_ITEMS, Malformed, Message, check_count, check_finite_list,
-    check_text,
+    check_label,
 };
 use crate::name::Name;
 
@@ -74,8 +74,8 @@ impl Message for HistorySpan {
     const FORMAT: Format = Format::Json;
 
     fn check(&self) -> Result<(), Malformed> {
-        check_text("kind", &self.kind)?;
-        check_text("name", &self.name)?;
+        check_label("kind", &self.kind)?;
+        check_label("name", &self.name)?;
         let rows = &self.rows;
         check_count("rows", rows.time_s.len(), 0, MAX_ITEMS)?;
         let columns = [

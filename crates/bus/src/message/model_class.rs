@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Format, MAX_CHANNELS, Malformed, Message, bounded, check_finite, check_range, check_text};
+use super::{Format, MAX_CHANNELS, Malformed, Message, bounded, check_finite, check_label, check_range};
 use crate::name::Name;
 
 /// How plausible one class is.
@@ -52,13 +52,13 @@ impl Message for ModelClassDisplay {
 
     fn check(&self) -> Result<(), Malformed> {
         for class in &self.classes {
-            check_text("class", &class.class)?;
+            check_label("class", &class.class)?;
             check_range("plausibility", class.plausibility, 0.0, 1.0)?;
         }
-        check_text("leading class", &self.leading)?;
-        check_text("believed class", &self.believed)?;
+        check_label("leading class", &self.leading)?;
+        check_label("believed class", &self.believed)?;
         if let Some(calibration) = &self.calibration {
-            check_text("calibrated class", &calibration.class)?;
+            check_label("calibrated class", &calibration.class)?;
             check_finite("change", calibration.change)?;
         }
         Ok(())

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Format, Malformed, Message, bounded, check_count, check_finite, check_range, check_text};
+use super::{Format, Malformed, Message, bounded, check_count, check_finite, check_label, check_range};
 use crate::name::Name;
 
 /// Most reasons in one message: they come from a closed set.
@@ -79,6 +79,6 @@ impl Message for NodeDisplay {
         }
         check_finite("excluded share", self.excluded_share)?;
         check_count("reasons", self.refused.len(), 0, MAX_REASONS)?;
-        self.refused.keys().try_for_each(|reason| check_text("reason", reason))
+        self.refused.keys().try_for_each(|reason| check_label("reason", reason))
     }
 }

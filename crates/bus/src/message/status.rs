@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Format, Malformed, Message, Pace, bounded, check_count, check_finite, check_text};
+use super::{Format, Malformed, Message, Pace, bounded, check_count, check_finite, check_label};
 use crate::name::Name;
 
 /// Most reasons in one status: they come from a closed set.
@@ -116,9 +116,9 @@ impl Message for Status {
         }
         check_count("drops", self.drops.len(), 0, MAX_REASONS)?;
         for reason in self.drops.keys() {
-            check_text("drop reason", reason)?;
+            check_label("drop reason", reason)?;
         }
-        check_text("version", &self.version)
+        check_label("version", &self.version)
     }
 }
 

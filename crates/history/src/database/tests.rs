@@ -1,6 +1,8 @@
 use super::*;
 use crate::batch::{Collector, Input};
-use spandrel_bus::{Acknowledgement, AlertMessage, AlertState, CredibleInterval, Event, EventKind, ParameterDisplay};
+use spandrel_bus::{
+    Acknowledgement, AlertMessage, AlertState, CredibleInterval, Event, EventKind, Message as _, ParameterDisplay,
+};
 use spandrel_structure::Structure;
 use std::path::Path;
 
@@ -187,6 +189,77 @@ async fn a_server_keeps_and_answers_and_may_be_away() {
     database.write("late", &batch).await.unwrap();
     let log = database.log(STRUCTURE, &name("demo"), &from_s(10)).await.unwrap();
     assert_eq!(log.alerts.len(), 1);
+}
+
+/// What no check of messages lets through any more, and what none can see: sums that leave the numbers of a computer.
+#[tokio::test]
+async fn rows_that_a_server_can_never_take_are_set_aside_and_all_others_written() {
+    let Some(server) = server::Server::start_or_skip() else { return };
+    let database = Database::new(&Address::Postgres(server.url())).unwrap();
+    let mut collector = Collector::new(&demo(), "spandrel");
+    let event = |seconds: i64, subject: &str| {
+        Input::Event(Event {
+            structure: name("demo"),
+            time_ns: START_NS + seconds * SECOND_NS,
+            kind: EventKind::Restart,
+            subject: subject.to_owned(),
+            what: "restarted".to_owned(),
+            why: "diverged".to_owned(),
+        })
+    };
+    let batches = |collector: &mut Collector| vec![Arc::new(collector.take(1).unwrap())];
+    // no two bytes in a row are alike, so that nothing is gained by packing them
+    let long: String =
+        (0..20_000_u32).map(|k| char::from(b'!' + (k.wrapping_mul(2_654_435_761) >> 25) as u8 % 90)).collect();
+    for (seconds, subject) in [(0, "filter"), (1, "fil\0ter"), (2, "node"), (3, long.as_str()), (4, "channel")] {
+        collector.handle(event(seconds, subject));
+    }
+    collector.handle(Input::Alert(alert(5, AlertState::Raised)));
+    (0..250).for_each(|k| collector.handle(parameter("storey-2", START_NS + k * DISPLAY_NS, 1.0)));
+    database.write("life", &batches(&mut collector)).await.unwrap();
+    let log = database.log(STRUCTURE, &name("demo"), &from_s(0)).await.unwrap();
+    let subjects: Vec<&str> = log.events.iter().map(|event| event.subject.as_str()).collect();
+    assert_eq!((subjects, log.alerts.len()), (vec!["filter", "node", "channel"], 1));
+    assert_eq!(database.set_aside(), 2);
+    // the squares of these are finite, and their sum is not
+    for k in 0..2 {
+        collector.handle(parameter("storey-1", START_NS + k * DISPLAY_NS, 1.2e154));
+        collector.handle(parameter("storey-3", START_NS + k * DISPLAY_NS, 1.0));
+        database.write(&format!("life-{k}"), &batches(&mut collector)).await.unwrap();
+    }
+    assert_eq!(database.set_aside(), 2 + RESOLUTIONS_S.len() as u64);
+    let count = |of: &'static str| {
+        let series = Series { kind: Kind::Parameter, name: of.to_owned() };
+        let database = &database;
+        async move {
+            let span = database.span(STRUCTURE, &name("demo"), &series, &SpanQuery::default()).await.unwrap();
+            span.rows.count.iter().sum::<u64>()
+        }
+    };
+    assert_eq!((count("storey-1").await, count("storey-2").await, count("storey-3").await), (2, 250, 2));
+}
+
+/// What was kept before names were limited: it is answered, and not with what no reader would take.
+#[tokio::test]
+async fn what_was_kept_with_a_name_of_before_is_answered_legibly() {
+    let folder = tempfile::tempdir().unwrap();
+    let database = file(folder.path()).await;
+    let mut collector = Collector::new(&demo(), "spandrel");
+    collector.handle(Input::Acknowledgement(Acknowledgement {
+        structure: name("demo"),
+        parameter: name("storey-2"),
+        time_ns: START_NS,
+        who: "Ada\0".to_owned(),
+        note: "first\nsecond".to_owned(),
+    }));
+    let named = AlertMessage { acknowledged_by: Some("Ada\0".to_owned()), ..alert(0, AlertState::Acknowledged) };
+    collector.handle(Input::Alert(named));
+    database.write("life", &[Arc::new(collector.take(1).unwrap())]).await.unwrap();
+    let log = database.log(STRUCTURE, &name("demo"), &from_s(0)).await.unwrap();
+    assert!(log.check().is_ok(), "{log:?}");
+    assert_eq!(log.acknowledgements[0].who, "Ada\u{fffd}");
+    assert_eq!(log.acknowledgements[0].note, "first\nsecond");
+    assert_eq!(log.alerts[0].acknowledged_by.as_deref(), Some("Ada\u{fffd}"));
 }
 
 #[tokio::test]

@@ -6,8 +6,10 @@ use crate::identification::Identification;
 use crate::memory::{Memory, identity};
 use crate::seat::{Held, Leading, Seat, StandingBy, next_term};
 use spandrel_bus::{
-    Claim, Description, EventKind, Forget, Header, NumberedStream, Question, Service, StateMessage, StreamState,
+    Claim, Description, EncodeError, EventKind, Forget, Header, MAX_MESSAGE_BYTES, Message as _, NumberedStream,
+    Question, Service, StateMessage, StreamState,
 };
+use spandrel_structure::Structure;
 use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::task::spawn_blocking;
@@ -27,6 +29,23 @@ pub(super) const WHO_LEADS_WITHIN: Duration = Duration::from_millis(500);
 const STATE_WITHIN: Duration = Duration::from_secs(5);
 /// A process that was not awake for this long may have lost the lead meanwhile: it asks before it puts anything.
 const ASLEEP: Duration = Duration::from_millis(1500);
+
+/// Refuses a structure whose state does not fit one message: nobody could ever take it over, and who stands by would be told so only
+/// by the log.
+pub(super) fn check_size(structure: &Structure, core: &Identification) -> Result<(), IdentifyError> {
+    check_size_of(structure.name(), identity(structure).seal(&core.state())?)
+}
+
+fn check_size_of(structure: &str, checkpoint: Vec<u8>) -> Result<(), IdentifyError> {
+    // as large as numbers get
+    let header = Header { source: structure.to_owned(), epoch: u64::MAX, sequence: u64::MAX, time_ns: i64::MIN };
+    match (StateMessage { header, term: u64::MAX, checkpoint }).encode() {
+        Err(EncodeError::TooLarge { bytes }) => {
+            Err(IdentifyError::StateTooLarge { structure: structure.to_owned(), bytes, most: MAX_MESSAGE_BYTES })
+        }
+        _ => Ok(()),
+    }
+}
 
 impl IdentifyService {
     /// Notes the highest term of which anybody has told.
@@ -252,5 +271,17 @@ impl IdentifyService {
                 warn!(%error, "state not given to one that would stand by");
             }
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_state_that_fits_no_message_is_told_with_its_size() {
+        assert!(check_size_of("tower", vec![0; MAX_MESSAGE_BYTES / 2]).is_ok());
+        let refused = check_size_of("tower", vec![0; MAX_MESSAGE_BYTES]).unwrap_err().to_string();
+        assert!(refused.contains("tower") && refused.contains("at most 8388608"), "{refused}");
     }
 }

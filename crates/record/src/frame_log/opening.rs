@@ -11,7 +11,14 @@ use crate::RecordError;
 
 /// Reads the newest segment in which there is something, checks that it is of this layout, and mends its end.
 pub(super) fn newest(folder: &Folder, stated: &StatedLayout) -> Result<OpenedLog, RecordError> {
-    let mut opened = OpenedLog { last: None, was_closed: true, same_boot: true, torn_bytes: 0, set_aside: Vec::new() };
+    let mut opened = OpenedLog {
+        last: None,
+        was_closed: true,
+        same_boot: true,
+        is_complete: None,
+        torn_bytes: 0,
+        set_aside: Vec::new(),
+    };
     let mut is_newest = true;
     loop {
         let Some(name) = folder.segments().newest() else { return Ok(opened) };

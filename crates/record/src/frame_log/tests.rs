@@ -139,7 +139,14 @@ fn a_log_without_frames_is_empty() {
     let folder = tempfile::tempdir().unwrap();
     let deep = folder.path().join("a/b");
     let (log, opened) = open(&deep);
-    let empty = OpenedLog { last: None, was_closed: true, same_boot: true, torn_bytes: 0, set_aside: Vec::new() };
+    let empty = OpenedLog {
+        last: None,
+        was_closed: true,
+        same_boot: true,
+        is_complete: None,
+        torn_bytes: 0,
+        set_aside: Vec::new(),
+    };
     assert_eq!(opened, empty);
     assert_eq!((log.reader().spans(), log.reader().next_epoch(None)), (Vec::new(), None));
     assert_eq!(log.reader().read(0, 0, 10, 1000).unwrap(), None);

@@ -2,8 +2,9 @@
 
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
-/// Longest name or note, in characters.
-const LONGEST: usize = 200;
+/// Longest name and longest note, in characters.
+const LONGEST_NAME: usize = 100;
+const LONGEST_NOTE: usize = 200;
 
 /// The two fields and where the cursor is.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -55,8 +56,12 @@ impl Form {
             KeyCode::Backspace => drop(self.text().pop()),
             KeyCode::Char('u') if is_control => self.text().clear(),
             KeyCode::Char(letter) if !is_control && !letter.is_control() => {
+                let longest = match self.field {
+                    Field::Who => LONGEST_NAME,
+                    Field::Note => LONGEST_NOTE,
+                };
                 let text = self.text();
-                if text.chars().count() < LONGEST {
+                if text.chars().count() < longest {
                     text.push(letter);
                 }
             }
@@ -111,8 +116,8 @@ mod tests {
     #[test]
     fn fields_are_bounded_and_free_of_control_characters() {
         let mut form = Form::default();
-        typed(&mut form, &letters(&"a".repeat(LONGEST + 1)));
-        assert_eq!(form.who.len(), LONGEST);
+        typed(&mut form, &letters(&"a".repeat(LONGEST_NAME + 1)));
+        assert_eq!(form.who.len(), LONGEST_NAME);
         form.key(KeyEvent::new(KeyCode::Char('u'), KeyModifiers::CONTROL));
         typed(&mut form, &[KeyCode::Char('\u{1b}')]);
         assert_eq!(form.who, "");

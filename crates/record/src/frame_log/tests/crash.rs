@@ -123,6 +123,23 @@ fn a_log_that_is_not_closed_has_all_its_frames_and_gets_an_end() {
 }
 
 #[test]
+fn whether_a_log_has_all_that_others_know_of_is_noted_for_the_next_one() {
+    let folder = tempfile::tempdir().unwrap();
+    for (noted, found) in
+        [(None, None), (Some(false), Some(false)), (Some(true), Some(true)), (Some(false), Some(false))]
+    {
+        let (log, _) = open(folder.path());
+        if let Some(noted) = noted {
+            log.note_complete(noted).unwrap();
+        }
+        drop(log);
+        let (log, opened) = open(folder.path());
+        assert_eq!(opened.is_complete, found);
+        drop(log);
+    }
+}
+
+#[test]
 fn a_segment_of_another_start_of_the_machine_is_known_as_such() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());

@@ -1,0 +1,114 @@
+//! Places for connections: so many in all, and so many for one address.
+
+use crate::gate::network_of;
+use std::collections::HashMap;
+use std::net::IpAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tracing::warn;
+
+/// Connections at the same time, handshakes among them. Browsers that listen have places of their own once they do.
+const MOST_CONNECTIONS: usize = 256;
+/// The same from one address (of IPv6: a /64). This machine has no such limit: a proxy on it speaks for many.
+const MOST_OF_ONE_ADDRESS: usize = 32;
+
+/// Counts who is there; cloning is cheap.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Places(Arc<Mutex<Taken>>);
+
+#[derive(Debug, Default)]
+struct Taken {
+    all: usize,
+    by_address: HashMap<IpAddr, usize>,
+    refused: u64,
+}
+
+/// A place; it is free again when this is dropped.
+#[derive(Debug)]
+pub(crate) struct Place {
+    places: Places,
+    address: IpAddr,
+}
+
+impl Places {
+    /// A place for a connection from an address; none where all are taken.
+    pub(crate) fn take(&self, address: IpAddr) -> Option<Place> {
+        let address = network_of(address);
+        let mut taken = self.lock();
+        let of_address = taken.by_address.get(&address).copied().unwrap_or(0);
+        let is_full = taken.all >= MOST_CONNECTIONS || (of_address >= MOST_OF_ONE_ADDRESS && !address.is_loopback());
+        if is_full {
+            taken.refused += 1;
+            let refused = taken.refused;
+            if refused.is_power_of_two() {
+                warn!(%address, of_address, in_all = taken.all, refused, "too many connections to the page, one more is closed");
+            }
+            return None;
+        }
+        taken.all += 1;
+        taken.by_address.insert(address, of_address + 1);
+        drop(taken);
+        Some(Place { places: self.clone(), address })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Taken> {
+        // nothing in here panics
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let mut taken = self.places.lock();
+        taken.all -= 1;
+        if let Some(of_address) = taken.by_address.get_mut(&self.address) {
+            *of_address -= 1;
+            if *of_address == 0 {
+                taken.by_address.remove(&self.address);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn address(text: &str) -> IpAddr {
+        text.parse().unwrap()
+    }
+
+    #[test]
+    fn one_address_takes_its_share_and_others_come_in() {
+        let places = Places::default();
+        let mut held: Vec<Place> =
+            (0..MOST_OF_ONE_ADDRESS).map(|_| places.take(address("10.0.0.7")).unwrap()).collect();
+        assert!(places.take(address("10.0.0.7")).is_none());
+        assert!(places.take(address("::ffff:10.0.0.7")).is_none(), "it is the same");
+        assert!(places.take(address("10.0.0.8")).is_some());
+        held.pop();
+        assert!(places.take(address("10.0.0.7")).is_some());
+        drop(held);
+        assert_eq!(places.lock().all, 0);
+        assert!(places.lock().by_address.is_empty(), "who is gone is forgotten");
+    }
+
+    #[test]
+    fn addresses_of_one_ipv6_network_share_their_places() {
+        let places = Places::default();
+        let of_host = |host: usize| address(&format!("2001:db8::{host:x}"));
+        let held: Vec<Place> = (0..MOST_OF_ONE_ADDRESS).map(|host| places.take(of_host(host)).unwrap()).collect();
+        assert!(places.take(address("2001:db8::ffff")).is_none());
+        assert!(places.take(address("2001:db8:0:1::1")).is_some());
+        drop(held);
+    }
+
+    #[test]
+    fn there_is_an_end_for_all_together() {
+        let places = Places::default();
+        let here = address("127.0.0.1");
+        let held: Vec<Place> = (0..MOST_CONNECTIONS).map(|_| places.take(here).unwrap()).collect();
+        assert!(places.take(here).is_none() && places.take(address("10.0.0.7")).is_none());
+        drop(held);
+        assert!(places.take(here).is_some());
+    }
+}

@@ -1,0 +1,313 @@
+//! Writes batches within a transaction; where a row can never be written, all others.
+
+use super::{Address, Series};
+use crate::batch::{Batch, Happened};
+use crate::sums::Sums;
+use sqlx::{AnyConnection, AssertSqlSafe, Executor, Row};
+use std::collections::HashMap;
+use std::fmt::Write as _;
+use std::sync::Arc;
+
+/// Rows of one statement.
+const ROWS_AT_ONCE: usize = 100;
+const BUCKET_COLUMNS: [&str; 14] = [
+    "series",
+    "resolution_s",
+    "start_s",
+    "first_ns",
+    "last_ns",
+    "count",
+    "mean_sum",
+    "square_sum",
+    "variance_sum",
+    "least",
+    "largest",
+    "low",
+    "high",
+    "probability",
+];
+
+/// Why something was not written.
+#[derive(Debug)]
+pub(super) enum Failed {
+    Database(sqlx::Error),
+    Message(serde_json::Error),
+}
+
+impl From<sqlx::Error> for Failed {
+    fn from(source: sqlx::Error) -> Self {
+        Self::Database(source)
+    }
+}
+
+impl From<serde_json::Error> for Failed {
+    fn from(source: serde_json::Error) -> Self {
+        Self::Message(source)
+    }
+}
+
+impl Failed {
+    /// Whether what was to be written is to blame: the same fails again however often it is tried.
+    pub(super) fn is_of_the_rows(&self, address: &Address) -> bool {
+        let error = match self {
+            Self::Message(_) | Self::Database(sqlx::Error::Encode(_)) => return true,
+            Self::Database(sqlx::Error::Database(error)) => error,
+            Self::Database(_) => return false,
+        };
+        let code = error.code().unwrap_or_default();
+        match address {
+            // data exception, integrity constraint, a row too large for its index
+            Address::Postgres(_) => ["22", "23", "54"].iter().any(|class| code.starts_with(class)),
+            // too big, constraint, mismatch; the last byte of an extended code says which
+            Address::Sqlite(_) => code.parse::<u32>().is_ok_and(|code| [18, 19, 20].contains(&(code & 0xff))),
+        }
+    }
+
+    fn reason(&self) -> String {
+        match self {
+            Self::Database(source) => source.to_string(),
+            Self::Message(source) => source.to_string(),
+        }
+    }
+}
+
+/// How rows are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Care {
+    /// Many by one statement: one that cannot be written stops all.
+    ManyRowsAtOnce,
+    /// Those that cannot be written are found and left out.
+    SettingAside,
+}
+
+/// What was left out.
+#[derive(Debug, Default)]
+pub(super) struct SetAside {
+    pub(super) rows: u64,
+    /// Why the last of them cannot be written.
+    pub(super) reason: Option<String>,
+}
+
+/// Some rows of one table.
+#[derive(Clone, Copy)]
+enum Rows<'r> {
+    Points(&'r [(Series, i64, [f64; 3])]),
+    Buckets(&'r [(&'r (Series, i64, i64), &'r Sums)]),
+    Happened(&'r [Happened]),
+}
+
+impl Rows<'_> {
+    fn len(self) -> usize {
+        match self {
+            Self::Points(rows) => rows.len(),
+            Self::Buckets(rows) => rows.len(),
+            Self::Happened(rows) => rows.len(),
+        }
+    }
+
+    fn halves(self) -> [Self; 2] {
+        let half = self.len() / 2;
+        match self {
+            Self::Points(rows) => [Self::Points(&rows[..half]), Self::Points(&rows[half..])],
+            Self::Buckets(rows) => [Self::Buckets(&rows[..half]), Self::Buckets(&rows[half..])],
+            Self::Happened(rows) => [Self::Happened(&rows[..half]), Self::Happened(&rows[half..])],
+        }
+    }
+}
+
+/// One transaction.
+pub(super) struct Writing<'w> {
+    connection: &'w mut AnyConnection,
+    address: &'w Address,
+    care: Care,
+    /// Numbers of the series that are known to be there, and those that were looked up or given since.
+    numbers: &'w HashMap<(String, Series), i64>,
+    found: HashMap<(String, Series), i64>,
+    set_aside: SetAside,
+}
+
+impl<'w> Writing<'w> {
+    pub(super) fn new(
+        connection: &'w mut AnyConnection,
+        address: &'w Address,
+        care: Care,
+        numbers: &'w HashMap<(String, Series), i64>,
+    ) -> Self {
+        Self { connection, address, care, numbers, found: HashMap::new(), set_aside: SetAside::default() }
+    }
+
+    /// The numbers of series that were not known before, and what was left out.
+    pub(super) fn end(self) -> (HashMap<(String, Series), i64>, SetAside) {
+        (self.found, self.set_aside)
+    }
+
+    /// Writes batches but for those that an earlier attempt of the same life has written.
+    pub(super) async fn write_all(&mut self, life: &str, batches: &[Arc<Batch>]) -> Result<(), Failed> {
+        let Some(last) = batches.last() else { return Ok(()) };
+        let written = sqlx::query("SELECT batch FROM writer WHERE id = $1")
+            .bind(life.to_owned())
+            .fetch_optional(&mut *self.connection)
+            .await?;
+        let written: i64 = written.map(|row| row.try_get(0)).transpose()?.unwrap_or(0);
+        for batch in batches.iter().filter(|batch| batch.number > written) {
+            let series =
+                batch.points.iter().map(|(series, ..)| series).chain(batch.buckets.keys().map(|(series, ..)| series));
+            for series in series {
+                let key = (batch.structure.clone(), series.clone());
+                if !self.numbers.contains_key(&key) && !self.found.contains_key(&key) {
+                    let number = number_of(self.connection, &key.0, series).await?;
+                    self.found.insert(key, number);
+                }
+            }
+            for points in batch.points.chunks(ROWS_AT_ONCE) {
+                self.write(batch, Rows::Points(points)).await?;
+            }
+            let buckets: Vec<_> = batch.buckets.iter().collect();
+            for buckets in buckets.chunks(ROWS_AT_ONCE) {
+                self.write(batch, Rows::Buckets(buckets)).await?;
+            }
+            if !batch.happened.is_empty() {
+                self.write(batch, Rows::Happened(&batch.happened)).await?;
+            }
+        }
+        let statement =
+            "INSERT INTO writer (id, batch) VALUES ($1, $2) ON CONFLICT (id) DO UPDATE SET batch = excluded.batch";
+        sqlx::query(statement).bind(life.to_owned()).bind(last.number).execute(&mut *self.connection).await?;
+        Ok(())
+    }
+
+    /// Writes rows; what cannot be written of them is looked for by halves where it is to be set aside.
+    async fn write(&mut self, batch: &Batch, rows: Rows<'_>) -> Result<(), Failed> {
+        if self.care == Care::ManyRowsAtOnce {
+            return self.insert(batch, rows).await;
+        }
+        let mut open = vec![rows];
+        while let Some(rows) = open.pop() {
+            self.connection.execute("SAVEPOINT piece").await?;
+            match self.insert(batch, rows).await {
+                Ok(()) => {
+                    self.connection.execute("RELEASE SAVEPOINT piece").await?;
+                }
+                Err(failed) if failed.is_of_the_rows(self.address) => {
+                    self.connection.execute("ROLLBACK TO SAVEPOINT piece").await?;
+                    if rows.len() > 1 {
+                        let [first, second] = rows.halves();
+                        open.extend([second, first]);
+                    } else {
+                        self.set_aside.rows += 1;
+                        self.set_aside.reason = Some(failed.reason());
+                    }
+                }
+                Err(failed) => return Err(failed),
+            }
+        }
+        Ok(())
+    }
+
+    async fn insert(&mut self, batch: &Batch, rows: Rows<'_>) -> Result<(), Failed> {
+        match rows {
+            Rows::Points(points) => self.insert_points(batch, points).await,
+            Rows::Buckets(buckets) => self.insert_buckets(batch, buckets).await,
+            Rows::Happened(all) => {
+                for happened in all {
+                    insert_happened(self.connection, &batch.structure, happened).await?;
+                }
+                Ok(())
+            }
+        }
+    }
+
+    fn number(&self, batch: &Batch, series: &Series) -> i64 {
+        let key = (batch.structure.clone(), series.clone());
+        self.numbers.get(&key).or_else(|| self.found.get(&key)).copied().unwrap_or_default()
+    }
+
+    async fn insert_points(&mut self, batch: &Batch, points: &[(Series, i64, [f64; 3])]) -> Result<(), Failed> {
+        let statement = format!(
+            "INSERT INTO point (series, time_ns, mean, std, probability) VALUES {} ON CONFLICT DO NOTHING",
+            placeholders(points.len(), 5)
+        );
+        let mut insert = sqlx::query(AssertSqlSafe(statement)).persistent(points.len() == ROWS_AT_ONCE);
+        for (series, time_ns, [mean, std, probability]) in points {
+            insert = insert.bind(self.number(batch, series)).bind(*time_ns).bind(*mean).bind(*std).bind(*probability);
+        }
+        insert.execute(&mut *self.connection).await?;
+        Ok(())
+    }
+
+    async fn insert_buckets(&mut self, batch: &Batch, buckets: &[(&(Series, i64, i64), &Sums)]) -> Result<(), Failed> {
+        // SQLite and PostgreSQL have other words for the lesser and the larger of two
+        let lesser =
+            |c: &str| format!("{c} = CASE WHEN excluded.{c} < bucket.{c} THEN excluded.{c} ELSE bucket.{c} END");
+        let larger =
+            |c: &str| format!("{c} = CASE WHEN excluded.{c} > bucket.{c} THEN excluded.{c} ELSE bucket.{c} END");
+        let sum = |c: &str| format!("{c} = bucket.{c} + excluded.{c}");
+        let updates: Vec<String> = ["count", "mean_sum", "square_sum", "variance_sum"]
+            .map(sum)
+            .into_iter()
+            .chain(["first_ns", "least", "low"].map(lesser))
+            .chain(["last_ns", "largest", "high", "probability"].map(larger))
+            .collect();
+        let statement = format!(
+            "INSERT INTO bucket ({}) VALUES {} ON CONFLICT (series, resolution_s, start_s) DO UPDATE SET {}",
+            BUCKET_COLUMNS.join(", "),
+            placeholders(buckets.len(), BUCKET_COLUMNS.len()),
+            updates.join(", ")
+        );
+        let mut insert = sqlx::query(AssertSqlSafe(statement)).persistent(buckets.len() == ROWS_AT_ONCE);
+        for ((series, resolution_s, start_s), sums) in buckets {
+            insert = insert.bind(self.number(batch, series)).bind(*resolution_s).bind(*start_s);
+            insert = insert.bind(sums.first_ns).bind(sums.last_ns).bind(sums.count);
+            insert = insert.bind(sums.mean_sum).bind(sums.square_sum).bind(sums.variance_sum);
+            insert = insert.bind(sums.least).bind(sums.largest).bind(sums.low).bind(sums.high).bind(sums.probability);
+        }
+        insert.execute(&mut *self.connection).await?;
+        Ok(())
+    }
+}
+
+/// The number of a series, a new one if it has none.
+async fn number_of(connection: &mut AnyConnection, structure: &str, series: &Series) -> Result<i64, sqlx::Error> {
+    let statement = "INSERT INTO series (id, structure, kind, name) \
+                     SELECT COALESCE(MAX(id), 0) + 1, $1, $2, $3 FROM series WHERE TRUE \
+                     ON CONFLICT (structure, kind, name) DO NOTHING";
+    let (kind, name) = (series.kind.as_str(), series.name.clone());
+    let insert = sqlx::query(statement).bind(structure.to_owned()).bind(kind).bind(name.clone());
+    insert.execute(&mut *connection).await?;
+    let select = sqlx::query("SELECT id FROM series WHERE structure = $1 AND kind = $2 AND name = $3");
+    select.bind(structure.to_owned()).bind(kind).bind(name).fetch_one(connection).await?.try_get(0)
+}
+
+/// `($1, $2), ($3, $4)` for two rows of two columns.
+fn placeholders(rows: usize, columns: usize) -> String {
+    let mut text = String::new();
+    for row in 0..rows {
+        text.push_str(if row == 0 { "(" } else { ", (" });
+        for column in 1..=columns {
+            // writing to a String does not fail
+            let _ = write!(text, "{}${}", if column == 1 { "" } else { ", " }, row * columns + column);
+        }
+        text.push(')');
+    }
+    text
+}
+
+async fn insert_happened(connection: &mut AnyConnection, structure: &str, happened: &Happened) -> Result<(), Failed> {
+    let (time_ns, kind, subject, state, message) = match happened {
+        Happened::Alert(m) => {
+            (m.time_ns, "alert", m.parameter.to_string(), m.state.as_str().to_owned(), serde_json::to_string(m)?)
+        }
+        Happened::Acknowledgement(m) => {
+            (m.time_ns, "acknowledgement", m.parameter.to_string(), m.who.clone(), serde_json::to_string(m)?)
+        }
+        Happened::Event(m) => {
+            let kind = serde_json::to_string(&m.kind)?;
+            (m.time_ns, "event", m.subject.clone(), kind, serde_json::to_string(m)?)
+        }
+    };
+    let statement = "INSERT INTO happened (structure, time_ns, kind, subject, state, message) \
+                     VALUES ($1, $2, $3, $4, $5, $6) ON CONFLICT DO NOTHING";
+    let insert = sqlx::query(statement).bind(structure.to_owned()).bind(time_ns).bind(kind).bind(subject);
+    insert.bind(state).bind(message).execute(connection).await?;
+    Ok(())
+}

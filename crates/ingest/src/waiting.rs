@@ -1,0 +1,141 @@
+//! Frames that wait for a disk: bounded in number and in bytes, and what has to go is counted.
+
+use std::collections::VecDeque;
+
+use spandrel_record::LoggedFrames;
+
+/// Frames that wait at most; of more, the oldest are lost to the recording.
+const MOST_FRAMES: u64 = 131_072;
+/// Bytes of samples that wait at most: all those frames of up to 128 channels.
+const MOST_BYTES: usize = 128 << 20;
+/// Bytes of samples that are given to the disk at once: as many again are needed to write them.
+const PIECE_BYTES: usize = 4 << 20;
+
+/// Blocks that are not recorded yet, oldest first.
+#[derive(Debug, Default)]
+pub(crate) struct Waiting {
+    blocks: VecDeque<LoggedFrames>,
+    frames: u64,
+    bytes: usize,
+    lost: u64,
+}
+
+impl Waiting {
+    /// Frames that wait.
+    pub(crate) fn frames(&self) -> u64 {
+        self.frames
+    }
+
+    /// Frames that are lost to the recording.
+    pub(crate) fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// Adds a block.
+    pub(crate) fn push(&mut self, block: LoggedFrames) {
+        self.frames += frames(&block);
+        self.bytes += bytes(&block);
+        self.blocks.push_back(block);
+    }
+
+    /// The oldest blocks, as many as are written at once; empty where none wait.
+    pub(crate) fn piece(&mut self) -> &[LoggedFrames] {
+        let mut sum = 0;
+        let fits = |block: &&LoggedFrames| {
+            let is_first = sum == 0;
+            sum += bytes(block).max(1);
+            is_first || sum <= PIECE_BYTES
+        };
+        let count = self.blocks.iter().take_while(fits).count();
+        &self.blocks.make_contiguous()[..count]
+    }
+
+    /// Takes out the oldest blocks, which are written.
+    pub(crate) fn written(&mut self, blocks: usize) {
+        for block in self.blocks.drain(..blocks) {
+            self.frames -= frames(&block);
+            self.bytes -= bytes(&block);
+        }
+    }
+
+    /// Gives up the oldest blocks while there are too many.
+    pub(crate) fn lose_what_is_too_much(&mut self) {
+        while self.frames > MOST_FRAMES || self.bytes > MOST_BYTES {
+            let Some(oldest) = self.blocks.pop_front() else { return };
+            self.frames -= frames(&oldest);
+            self.bytes -= bytes(&oldest);
+            self.lost += frames(&oldest);
+        }
+    }
+}
+
+fn frames(block: &LoggedFrames) -> u64 {
+    (block.values.len() / usize::from(block.channels).max(1)) as u64
+}
+
+fn bytes(block: &LoggedFrames) -> usize {
+    size_of_val(block.values.as_slice())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn block(sequence: u64, frames: usize, channels: u16) -> LoggedFrames {
+        LoggedFrames {
+            source: "ingest".to_owned(),
+            epoch: 1,
+            sequence,
+            t0_ns: 0,
+            sampling_rate_hz: 100.0,
+            channels,
+            values: vec![0.0; frames * usize::from(channels)],
+            ended: false,
+            nodes: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn pieces_are_small_in_order_and_all_there_is() {
+        let mut waiting = Waiting::default();
+        // half a mebibyte each: 65,536 values
+        (0..20).for_each(|k| waiting.push(block(k * 64, 64, 1024)));
+        let mut found = Vec::new();
+        loop {
+            let piece = waiting.piece();
+            let (count, bytes) = (piece.len(), piece.iter().map(bytes).sum::<usize>());
+            if count == 0 {
+                break;
+            }
+            assert!(bytes <= PIECE_BYTES, "{bytes}");
+            found.extend(piece.iter().map(|block| block.sequence));
+            waiting.written(count);
+        }
+        assert_eq!(found, (0..20).map(|k| k * 64).collect::<Vec<_>>());
+        assert_eq!((waiting.frames(), waiting.bytes, waiting.lost()), (0, 0, 0));
+        // one that is larger than a piece goes alone; one without frames is no reason to stop
+        waiting.push(block(0, 1024, 1024));
+        waiting.push(block(1024, 0, 1024));
+        assert_eq!(waiting.piece().len(), 1);
+        waiting.written(1);
+        assert_eq!(waiting.piece().len(), 1);
+    }
+
+    #[test]
+    fn many_channels_are_bounded_by_bytes_and_few_by_frames() {
+        let mut waiting = Waiting::default();
+        for k in 0..40 {
+            waiting.push(block(k * 128, 128, 4096));
+            waiting.lose_what_is_too_much();
+        }
+        assert!(waiting.bytes <= MOST_BYTES && waiting.frames() == 32 * 128, "{}", waiting.frames());
+        assert_eq!(waiting.lost(), 8 * 128);
+        assert_eq!(waiting.piece()[0].sequence, 8 * 128, "the oldest are gone");
+        let mut waiting = Waiting::default();
+        for k in 0..3 {
+            waiting.push(block(k * 65_536, 65_536, 2));
+            waiting.lose_what_is_too_much();
+        }
+        assert_eq!((waiting.frames(), waiting.lost()), (131_072, 65_536));
+    }
+}
