@@ -18,6 +18,7 @@ mod node;
 mod noise;
 mod outlier;
 mod parameter;
+mod probability;
 mod progress;
 mod samples;
 mod state;
@@ -43,10 +44,11 @@ pub use node::{NodeDisplay, NodeHealth};
 pub use noise::NoiseDisplay;
 pub use outlier::{ChannelState, MaskedSpan, OutlierDisplay};
 pub use parameter::{CredibleInterval, ParameterDisplay};
+pub use probability::RoundedProbability;
 pub use progress::Progress;
 pub use samples::{NodeState, Pace, SampleBlock};
 pub use state::StateMessage;
-pub use status::{Load, Standing, Status, is_without_date};
+pub use status::{Load, Standing, Status, is_without_date, pace_told};
 
 /// Largest payload accepted, in bytes; nothing larger is ever decoded or sent.
 pub const MAX_MESSAGE_BYTES: usize = 8 << 20;
