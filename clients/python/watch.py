@@ -16,6 +16,10 @@ import time
 
 import zenoh
 
+# rows further apart than this many usual steps, and than so long (s), have a gap between them, as on the page
+GAP_STEPS = 8
+GAP_S = 1.0
+
 
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -74,7 +78,23 @@ def ask(session, below, parameter, points):
         if reply.ok is None:
             sys.exit(f"the history refuses: {reply.err.payload.to_string()}")
         return json.loads(reply.ok.payload.to_string())
-    sys.exit(f"nobody keeps a history of {below}: start spandrel run or spandrel history")
+    sys.exit(f"nobody keeps a history of {below}: spandrel run and spandrel history do, spandrel demo does not")
+
+
+def with_gaps(rows):
+    """The columns of the plot, with a row of nothing where nothing was measured for long, so that no line leads over it."""
+    columns = {"time_s": [], "low": [], "high": [], "mean": []}
+    steps = sorted(after - before for before, after in zip(rows["time_s"], rows["time_s"][1:]))
+    usual = steps[len(steps) // 2] if steps else 0.0
+    last = None
+    for row in zip(*(rows[name] for name in columns)):
+        if last is not None and row[0] - last > max(GAP_STEPS * usual, GAP_S):
+            for name, column in columns.items():
+                column.append(last + usual if name == "time_s" else float("nan"))
+        for column, value in zip(columns.values(), row):
+            column.append(value)
+        last = row[0]
+    return columns
 
 
 def plot(span, file):
@@ -85,7 +105,7 @@ def plot(span, file):
 
     from matplotlib import pyplot
 
-    rows = span["rows"]
+    rows = with_gaps(span["rows"])
     times = [datetime.fromtimestamp(t, timezone.utc) for t in rows["time_s"]]
     figure, axes = pyplot.subplots(figsize=(10, 4))
     axes.fill_between(times, rows["low"], rows["high"], alpha=0.3, label="95 % intervals")

@@ -1,7 +1,7 @@
 //! Says in words what an alert is about: what, how much, how sure, since when.
 
 use jiff::Timestamp;
-use spandrel_bus::AlertState;
+use spandrel_bus::{AlertState, RoundedProbability};
 
 use crate::{Alert, LossEstimate, ReferenceRule, Rule, Subject};
 
@@ -12,30 +12,39 @@ pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert) -> String 
         return format!("reference of {name} is being learnt");
     };
     let how_much = format!("{} of its {quantity} ({})", percent(loss.loss), interval(loss));
-    let how_sure =
-        format!("more than {} with probability {}", percent(alert.rule_loss), probability(alert.probability_of_loss));
+    let found = alert.probability_of_loss;
+    let told = RoundedProbability::new(found, &[rule.credibility(), rule.clear_credibility()]);
+    let how_sure = format!("more than {} with probability {told}", percent(alert.rule_loss));
+    // where it is too little, so that one need not know the rule
+    let of_rule = if found < rule.credibility() {
+        format!("{how_sure} ({} is asked for)", asked(rule.credibility()))
+    } else {
+        how_sure.clone()
+    };
     let since = alert.since_ns.map(|time_ns| format!(", since {}", time(time_ns))).unwrap_or_default();
     match alert.state {
         AlertState::Learning | AlertState::Normal => format!(
-            "{name} is normal against {:.3} ± {:.3}: loss {how_much}, {how_sure}",
+            "{name} is normal against {:.3} ± {:.3}: loss {how_much}, {of_rule}",
             reference.mean(),
             reference.std()
         ),
         AlertState::Pending => format!(
-            "{name} seems to have lost {how_much}, {how_sure}{since}; is raised after {}",
+            "{name} seems to have lost {how_much}, {of_rule}{since}; is raised after {}",
             duration(rule.sustain_ns())
         ),
-        AlertState::Raised => format!("{name} has lost {how_much}, {how_sure}{since}"),
+        AlertState::Raised => format!("{name} has lost {how_much}, {of_rule}{since}"),
         AlertState::Acknowledged => {
-            format!("{name} has lost {how_much}, {how_sure}{since}; {}", acknowledged(alert))
+            format!("{name} has lost {how_much}, {of_rule}{since}; {}", acknowledged(alert))
         }
-        AlertState::Cleared if alert.probability_of_loss >= rule.clear_credibility() => format!(
-            "loss of {name} was credible again, but not for {}: loss {how_much}, {how_sure}",
+        AlertState::Cleared if found >= rule.clear_credibility() => format!(
+            "that {name} has lost more than {} was credible again, but not for {}: loss {how_much}, {of_rule}",
+            percent(alert.rule_loss),
             duration(rule.sustain_ns())
         ),
         AlertState::Cleared => format!(
-            "loss of {name} is no longer credible: loss {how_much}, {how_sure}, below {} for {}",
-            probability(rule.clear_credibility()),
+            "that {name} has lost more than {} is no longer credible: loss {how_much}, {how_sure}, below {} for {}",
+            percent(alert.rule_loss),
+            asked(rule.clear_credibility()),
             duration(rule.sustain_ns())
         ),
     }
@@ -63,13 +72,14 @@ pub(crate) fn describe_end(subject: &Subject, end: &End) -> String {
         End::NoSuchParameter => "the structure file has no such parameter any more".to_owned(),
         End::Unwatched => "no rule of the structure file watches it any more".to_owned(),
         End::RuleChanged { from, to, probability: found } => {
+            let found = RoundedProbability::new(*found, &[from.credibility(), to.credibility()]);
             let is_counted_anew = from.reference() != to.reference();
-            let asked = |rule: &Rule| {
+            let asked_by = |rule: &Rule| {
                 let counted = if is_counted_anew { counted_from(rule.reference()) } else { String::new() };
-                let (loss, credibility) = (percent(rule.loss()), probability(rule.credibility()));
+                let (loss, credibility) = (percent(rule.loss()), asked(rule.credibility()));
                 format!("more than {loss}{counted} with probability {credibility} for {}", duration(rule.sustain_ns()))
             };
-            let (from, to, found) = (asked(from), asked(to), probability(*found));
+            let (from, to) = (asked_by(from), asked_by(to));
             format!(
                 "its rule was changed from {from} to {to}, and the last estimate gives that loss probability {found}"
             )
@@ -125,16 +135,10 @@ fn interval(loss: &LossEstimate) -> String {
     format!("95 % interval {} to {} %", per_cent(loss.low), per_cent(loss.high))
 }
 
-/// A probability with three decimals, and never 0 or 1.
-fn probability(value: f64) -> String {
-    const HALF_DIGIT: f64 = 5e-4;
-    if value >= 1.0 - HALF_DIGIT {
-        return "above 0.999".to_owned();
-    }
-    if value < HALF_DIGIT {
-        return "below 0.001".to_owned();
-    }
-    format!("{value:.3}")
+/// A probability that a rule asks for: as it stands in the rule, with three decimals at least.
+fn asked(probability: f64) -> String {
+    let rounded = format!("{probability:.3}");
+    if rounded.parse() == Ok(probability) { rounded } else { probability.to_string() }
 }
 
 fn duration(span_ns: i64) -> String {
@@ -156,10 +160,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn probabilities_never_read_as_certainty() {
-        assert_eq!(probability(1.0), "above 0.999");
-        assert_eq!(probability(0.998_4), "0.998");
-        assert_eq!(probability(1e-9), "below 0.001");
+    fn what_is_asked_for_is_not_rounded() {
+        assert_eq!([0.99, 0.5, 0.9999].map(asked), ["0.990", "0.500", "0.9999"]);
     }
 
     #[test]

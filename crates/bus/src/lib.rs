@@ -82,8 +82,8 @@ pub use message::{
     FeedbackMessage, Format, FrameBlock, Header, HistoryLog, HistoryRows, HistorySpan, Load, LocalDensity,
     LocalMessage, MAX_CHANNELS, MAX_ITEMS, MAX_LABEL_BYTES, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Malformed, MaskedSpan,
     Message, ModelClassDisplay, MotionNumbers, NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay,
-    OutlierDisplay, Pace, ParameterDisplay, Phase, Progress, SampleBlock, ScreenedChannel, Standing, StateMessage,
-    Status, StreamState, ToldMotion, ToldSamples, is_without_date,
+    OutlierDisplay, Pace, ParameterDisplay, Phase, Progress, RoundedProbability, SampleBlock, ScreenedChannel,
+    Standing, StateMessage, Status, StreamState, ToldMotion, ToldSamples, is_without_date, pace_told,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};

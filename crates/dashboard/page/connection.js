@@ -56,7 +56,10 @@ export class Connection {
       this.#attempts = 0;
       const isFirst = !this.#opened;
       this.#opened = true;
-      if (isFirst) this.#tell("opened");
+      if (isFirst) {
+        this.#tell("opened");
+        this.#tell("state");
+      }
       const message = JSON.parse(event.data);
       this.#tell(message.type, message);
     };

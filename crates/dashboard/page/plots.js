@@ -37,7 +37,7 @@ export function parameterPlot(parameter, standing, points, span, id) {
     const shown = standing()?.parameters[parameter.name];
     const alert = standing()?.alerts.find((alert) => alert.parameter === parameter.name);
     const [loss, reference] = [alert?.rule_loss ?? shown?.loss ?? parameter.loss, alert?.reference ?? shown?.reference ?? parameter.reference];
-    return { loss, y: (1 - loss) * reference };
+    return { loss, y: (1 - loss) * reference, credibility: alert?.rule_credibility };
   };
   const changes = () => (standing()?.changes ?? []).filter((change) => change.parameter === parameter.name);
   const marks = () => {
@@ -70,7 +70,8 @@ export function parameterPlot(parameter, standing, points, span, id) {
       readout: (data, at) => {
         const [low, high] = [data[4][at], data[5][at]];
         if (data[1][at] === null) return "no data";
-        const asked = parameter.stiffness ? ` · P(loss > ${percent(threshold().loss, 0)}) ${probability(data[8][at])}` : "";
+        const { loss, credibility } = threshold();
+        const asked = parameter.stiffness ? ` · P(loss > ${percent(loss, 0)}) ${probability(data[8][at], credibility)}` : "";
         return `${ratio(data[1][at])} · 95 %: ${ratio(low)} to ${ratio(high)}${asked}`;
       },
       marks,

@@ -209,7 +209,7 @@ export class StructurePage {
       setText(part.mean, shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "–");
       setText(part.interval, shown ? `${ratio(shown.interval.low)} to ${ratio(shown.interval.high)}` : "–");
       const p = parameter.stiffness ? shown?.probability_of_loss : null;
-      setText(part.text, p === null ? "not a stiffness" : probability(p));
+      setText(part.text, p === null ? "not a stiffness" : probability(p, alert?.rule_credibility));
       part.bar.hidden = p === null;
       part.bar.dataset.step = step(p) ?? "";
       part.bar.style.setProperty("--share", p ?? 0);

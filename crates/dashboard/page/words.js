@@ -54,13 +54,21 @@ export function step(probability) {
   return STEPS.findIndex((one) => probability < one.below);
 }
 
-/** A probability in per cent, without a certainty that nobody has. */
-export function probability(value) {
+/** Most digits after the point of a probability in per cent. */
+const MOST_DIGITS = 6;
+
+/** A probability in per cent, without a certainty that nobody has, and on the side of the one asked for on which it lies. */
+export function probability(value, asked) {
   if (value === null || value === undefined) return "–";
   const percent = 100 * value;
-  if (percent > 99.9) return "> 99.9 %";
-  if (percent < 0.1) return "< 0.1 %";
-  return `${percent.toFixed(percent > 10 && percent < 99 ? 0 : 1)} %`;
+  for (let digits = percent > 10 && percent < 99 ? 0 : 1; ; digits += 1) {
+    const most = 100 - 10 ** -Math.max(digits, 1);
+    const bound = percent > most ? [most, 100, "> "] : percent < 100 - most ? [0, 100 - most, "< "] : null;
+    const text = (bound ? (bound[2] === "> " ? most : 100 - most) : percent).toFixed(digits);
+    const [low, high, sign] = bound ?? [Number(text), Number(text), ""];
+    const isTold = value >= asked ? low / 100 >= asked : high / 100 < asked;
+    if (asked === null || asked === undefined || isTold || digits === MOST_DIGITS) return `${sign}${text} %`;
+  }
 }
 
 /** A share in per cent. */
@@ -127,9 +135,9 @@ export function recordTime(seconds, digits = 0) {
   return `${seconds < 0 && size > 0 ? "−" : ""}${hours}:${String(minutes).padStart(2, "0")}:${rest}`;
 }
 
-/** How far behind the sensors the identification is; the times of a record that is replayed say nothing of it. */
+/** How far behind the sensors the identification is; the times of a record or a simulation say nothing of it. */
 export function lag(seconds, replayed) {
-  if (replayed) return "replayed record";
+  if (replayed) return "replayed or simulated";
   if (seconds === null) return "–";
   if (seconds < -1) return `−${duration(seconds)} (ahead of time)`;
   return duration(Math.max(seconds, 0));

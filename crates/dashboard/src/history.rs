@@ -203,7 +203,7 @@ impl Span {
                 Kind::Class => vec![rows.mean[row]],
                 Kind::Innovation | Kind::Consistency => Vec::new(),
             };
-            ((rows.time_s[row] * 1e9).round() as i64, values)
+            (nearest_ns(rows.time_s[row]), values)
         };
         // a time in seconds is rounded, and must not come after what follows
         let end_ns = earlier.query.to_ns;
@@ -248,6 +248,12 @@ impl Span {
         }
         text
     }
+}
+
+/// A time in seconds as nanoseconds: of a date to the microsecond, because a number of seconds since 1970 tells no more.
+fn nearest_ns(time_s: f64) -> i64 {
+    let time_ns = (time_s * 1e9).round() as i64;
+    if is_without_date(time_ns) { time_ns } else { (time_s * 1e6).round() as i64 * 1_000 }
 }
 
 /// A number in the fewest digits that are read back as the same, with an exponent where zeros would be written instead.

@@ -84,7 +84,11 @@ impl Metrics {
         gauge("node_distance", "Distance of a node that identifies for itself from the others", &self.node_distance);
         gauge("measured_time_seconds", "Time of the newest value, seconds since the Unix epoch", &self.time);
         gauge("measured_age_seconds", "Time since something was heard of a structure", &self.age);
-        gauge("lag_seconds", "Wall clock less time of the last frame done, by service", &self.lag);
+        gauge(
+            "lag_seconds",
+            "Wall clock less time of the last frame done, by service, of samples that come as they are measured",
+            &self.lag,
+        );
         gauge("frames_behind", "Frames that ingest has made and a service has not done", &self.behind);
         gauge("up", "1 if a service has shown that it is there", &self.up);
         registry.register("channel_rejected", "Samples of a channel that were rejected", self.rejected.clone());
@@ -152,7 +156,7 @@ impl Metrics {
         }
         for ((service, id), (status, _)) in &store.statuses {
             let labels = vec![structure(), ("service", service.as_str().to_owned()), ("id", id.to_string())];
-            if let Some(lag_s) = status.lag_s {
+            if let Some(lag_s) = status.lag_s.filter(|_| store.has_lag()) {
                 // the lag grows while nobody says anything
                 let silent_s = now_ns().saturating_sub(status.time_ns) as f64 / 1e9;
                 self.lag.get_or_create(&labels).set(lag_s + silent_s.max(0.0));

@@ -38,9 +38,9 @@ pub(crate) struct Overview {
     /// What the newest value says of the alert of the sentence, where that is newer.
     pub(crate) now: Option<String>,
     pub(crate) worst: Option<Worst>,
-    /// Wall clock less time of the last frame identified (s); none where nothing comes, or it comes from a record.
+    /// Wall clock less time of the last frame identified (s); none where nothing comes, or not as it is measured.
     pub(crate) lag_s: Option<f64>,
-    /// Whether the samples come from a record or a simulation, at times of their own.
+    /// Whether the samples come from a record or a simulation.
     pub(crate) replayed: bool,
     /// How long ago something was heard (s).
     pub(crate) age_s: Option<f64>,
@@ -57,6 +57,8 @@ pub(crate) struct Overview {
 pub(crate) struct Worst {
     pub(crate) parameter: String,
     pub(crate) probability_of_loss: f64,
+    /// The probability from which on its rule calls for an alert; none where no alert has been decided on.
+    pub(crate) credibility: Option<f64>,
     /// The loss that the probability is asked for, a share of the reference.
     pub(crate) loss: f64,
     pub(crate) mean: f64,
@@ -96,6 +98,7 @@ pub(crate) fn overview(store: &Store) -> Overview {
     let worst = worst.map(|display| Worst {
         parameter: display.parameter.to_string(),
         probability_of_loss: display.probability_of_loss,
+        credibility: store.alerts.get(display.parameter.as_str()).map(|alert| alert.rule_credibility),
         loss: display.loss,
         mean: display.mean,
         std: display.std,
@@ -153,37 +156,20 @@ fn sensor_count(store: &Store) -> SensorCount {
 }
 
 fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
-    let raised: Vec<&AlertMessage> = alerts_in(store, AlertState::Raised).collect();
     // the largest loss first
-    if let Some(first) = raised.iter().max_by(|a, b| a.loss.unwrap_or(0.0).total_cmp(&b.loss.unwrap_or(0.0))) {
-        let others = match raised.len() - 1 {
-            0 => String::new(),
-            1 => "; one more alert is raised".to_owned(),
-            more => format!("; {more} more alerts are raised"),
-        };
-        return (Level::Alarm, format!("{}{others}", first.why));
+    let largest = |a: &&AlertMessage, b: &&AlertMessage| a.loss.unwrap_or(0.0).total_cmp(&b.loss.unwrap_or(0.0));
+    if let Some(first) = alerts_in(store, AlertState::Raised).max_by(largest) {
+        return (Level::Alarm, with_others(store, first));
     }
+    let concerns = concerns(store, sensors);
+    let told = || concerns.iter().map(|(_, sentence)| sentence.as_str());
     if store.is_stale() {
+        // what somebody has to look at is not over because no data come
         let as_it_was = "nothing is measured: what is shown is how it was";
-        // what somebody has said to look at is not over because no data come
-        let seen = alerts_in(store, AlertState::Acknowledged).next();
-        return (Level::Stale, seen.map_or(as_it_was.to_owned(), |seen| format!("{}; {as_it_was}", seen.why)));
+        return (Level::Stale, told().chain([as_it_was]).collect::<Vec<_>>().join("; "));
     }
-    if let Some(pending) = alerts_in(store, AlertState::Pending).next() {
-        return (Level::Warning, pending.why.clone());
-    }
-    if !sensors.troubled.is_empty() {
-        let names = sensors.troubled.join(", ");
-        return (Level::Warning, format!("not used: {names}; the estimates rest on the other sensors"));
-    }
-    if let Some(missing) = missing_service(store) {
-        return (Level::Warning, format!("the service {} is gone", missing.as_str()));
-    }
-    if let Some(seen) = alerts_in(store, AlertState::Acknowledged).next() {
-        return (Level::Notice, seen.why.clone());
-    }
-    if let Some(cleared) = alerts_in(store, AlertState::Cleared).next() {
-        return (Level::Notice, cleared.why.clone());
+    if let Some((most_urgent, _)) = concerns.first() {
+        return (*most_urgent, told().collect::<Vec<_>>().join("; "));
     }
     if store.data_heard().is_none() && store.now >= NEVER_MEASURED_AFTER {
         let sentence =
@@ -203,6 +189,33 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
         return (Level::Learning, "no alert has been decided on yet".to_owned());
     }
     (Level::Normal, "no loss was found that the rules ask about".to_owned())
+}
+
+/// What somebody should look at beside alerts that are raised, the most urgent first: one sentence of each kind.
+fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
+    let alerts = |state| alerts_in(store, state).next().map(|first| with_others(store, first));
+    let troubled = (!sensors.troubled.is_empty())
+        .then(|| format!("not used: {}; the estimates rest on the other sensors", sensors.troubled.join(", ")));
+    let missing = missing_service(store).map(|missing| format!("the service {} is gone", missing.as_str()));
+    let all = [
+        (Level::Warning, alerts(AlertState::Pending)),
+        (Level::Warning, troubled),
+        (Level::Warning, missing),
+        // it waits for somebody who has seen it
+        (Level::Notice, alerts(AlertState::Cleared)),
+        (Level::Notice, alerts(AlertState::Acknowledged)),
+    ];
+    all.into_iter().filter_map(|(level, sentence)| Some((level, sentence?))).collect()
+}
+
+/// The sentence of an alert, and how many more are in the same state.
+fn with_others(store: &Store, first: &AlertMessage) -> String {
+    let state = first.state.as_str();
+    match alerts_in(store, first.state).count() - 1 {
+        0 => first.why.clone(),
+        1 => format!("{}; one more alert is {state}", first.why),
+        more => format!("{}; {more} more alerts are {state}", first.why),
+    }
 }
 
 /// The first service that was there and is not any more.

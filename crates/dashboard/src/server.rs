@@ -3,7 +3,7 @@
 use crate::gate::Gate;
 use crate::history::Earlier;
 use crate::overview::{Overview, overview};
-use crate::store::Store;
+use crate::store::{Input, Store};
 use spandrel_bus::{Acknowledgement, AlertMessage, AlertState, Bus, BusError, HistorySpan, Keys};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -99,33 +99,42 @@ impl Server {
     }
 
     /// Puts an acknowledgement of an alert that is `before` on the bus; returns what the alert service has made of it, `None` where it
-    /// does not say so in time.
+    /// does not say so in time. Whoever asks afterwards is told of it.
     pub(crate) async fn acknowledge(
         &self,
         acknowledgement: &Acknowledgement,
         before: AlertState,
     ) -> Result<Option<AlertState>, BusError> {
         let Acknowledgement { structure, parameter, who, .. } = acknowledgement;
-        let Some((keys, _)) = self.structures.iter().find(|(keys, _)| keys.structure() == structure) else {
+        let Some((keys, store)) = self.structures.iter().find(|(keys, _)| keys.structure() == structure) else {
             return Ok(None);
         };
         // before it is put: the answer may come at once
         let alerts = self.bus.subscribe::<AlertMessage>(keys.alert(parameter), CHANGES_WAITING).await?;
         let publisher = self.bus.publish_display(keys.acknowledge(parameter)).await?;
         publisher.put(acknowledgement).await?;
-        let is_answer = |alert: &AlertMessage| match before {
-            AlertState::Raised => alert.acknowledged_by.as_ref() == Some(who),
-            _ => alert.state != AlertState::Raised, // what is over, or only pending, has no name beside it
+        let is_answer = |alert: &AlertMessage| {
+            let is_taken = match before {
+                AlertState::Raised => alert.acknowledged_by.as_ref() == Some(who),
+                _ => alert.state != AlertState::Raised, // what is over, or only pending, has no name beside it
+            };
+            is_taken && alert.structure == *structure && alert.parameter == *parameter
         };
         let answered = async {
             while let Ok((_, alert)) = alerts.messages().recv_async().await {
                 if is_answer(&alert) {
-                    return Some(alert.state);
+                    return Some(alert);
                 }
             }
             None
         };
-        Ok(tokio::time::timeout(ANSWER_WITHIN, answered).await.unwrap_or_default())
+        let Ok(Some(alert)) = tokio::time::timeout(ANSWER_WITHIN, answered).await else { return Ok(None) };
+        let state = alert.state;
+        // what is gathered from the bus comes a little later
+        let mut store = lock(store);
+        store.handle(Input::Acknowledgement(acknowledgement.clone()));
+        store.handle(Input::Alert(alert));
+        Ok(Some(state))
     }
 
     /// Asks the history service for what lies before what is kept here; what it does not answer in time is left out.

@@ -6,8 +6,8 @@ use crate::series::{Series, Table};
 use crate::topic::{Kind, SeriesName};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Arrivals, ChannelState, EstimateBlock, Event, EventKind, HistoryLog,
-    ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, Progress, Service,
-    Status, is_without_date,
+    ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, Progress,
+    Service, Status, is_without_date, pace_told,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -363,18 +363,26 @@ impl Store {
         alert.loss_by(self.parameters.get(alert.parameter.as_str())?)
     }
 
-    /// Whether the samples come from a record or a simulation with times of its own, so that a lag behind the clock on the wall says
-    /// nothing.
+    /// Whether the samples come from a record or a simulation, whose times are their own, so that a lag behind the clock on the wall
+    /// says nothing.
     pub(crate) fn is_replayed(&self) -> bool {
         let Some(time_ns) = self.time_ns else { return false };
-        let mut ingest = self.statuses.iter().filter(|((service, _), _)| *service == Service::Ingest);
-        is_without_date(time_ns) || ingest.any(|(_, (status, _))| status.is_of_a_record(time_ns))
+        is_without_date(time_ns) || self.pace() == Some(Pace::Replayed)
     }
 
-    /// A lag behind the clock on the wall, where it says something: of samples that come as they are measured.
+    /// Whether a lag behind the clock on the wall says something: of samples that are known to come as they are measured.
+    pub(crate) fn has_lag(&self) -> bool {
+        self.pace() == Some(Pace::Live) && !self.is_replayed()
+    }
+
+    /// A lag behind the clock on the wall, where it says something and data come.
     pub(crate) fn told_lag(&self, lag_s: Option<f64>) -> Option<f64> {
-        let is_told = !self.is_replayed() && self.silence().is_some_and(|silence| silence <= STALE_AFTER);
+        let is_told = self.has_lag() && self.silence().is_some_and(|silence| silence <= STALE_AFTER);
         lag_s.filter(|_| is_told)
+    }
+
+    fn pace(&self) -> Option<Pace> {
+        pace_told(self.statuses.values().map(|(status, _)| status))
     }
 
     /// One series over time.

@@ -266,6 +266,12 @@ impl Fusion {
         heard(Pace::Live).any(|node| !node.is_over()) || heard(Pace::Replayed).next().is_none()
     }
 
+    /// Whether what the nodes send comes as it is measured; none before the first message.
+    pub fn pace(&self) -> Option<Pace> {
+        let is_heard = self.nodes.iter().any(|node| node.heard_ever);
+        is_heard.then(|| if self.is_live() { Pace::Live } else { Pace::Replayed })
+    }
+
     /// Returns the period that all replaying nodes that are there have reached, if it is a new one.
     ///
     /// It is the earliest that any of them has sent: a station that comes late begins where they are, and a jump of their counts

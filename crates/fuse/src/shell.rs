@@ -193,7 +193,12 @@ impl FuseService {
             return Ok(());
         };
         let bytes = message.encode().map_or(0, |payload| payload.len() as u64);
-        self.handle(Input::Local { node, message: Box::new(message), bytes, arrived_ns: now_ns() }).await
+        let pace = self.core.pace();
+        self.handle(Input::Local { node, message: Box::new(message), bytes, arrived_ns: now_ns() }).await?;
+        if self.core.pace() != pace {
+            self.put_status().await?; // people see no value of it for long without knowing what it is
+        }
+        Ok(())
     }
 
     async fn handle(&mut self, input: Input) -> Result<(), FuseError> {
@@ -272,7 +277,7 @@ impl FuseService {
             id: self.id.clone(),
             time_ns: now_ns,
             lag_s: self.core.done_ns().map(|ns| now_ns.saturating_sub(ns) as f64 / 1e9),
-            pace: None,
+            pace: self.core.pace(),
             load: None,
             frames_behind: None,
             state: None,

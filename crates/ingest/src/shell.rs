@@ -283,7 +283,10 @@ impl IngestService {
         let Delivery::Block(block) = delivery else {
             return Ok(()); // logged and counted by the stream; to the alignment it is a gap in time
         };
-        (self.pace, self.pace_heard) = (block.pace, Some(block.pace));
+        self.pace = block.pace;
+        if self.pace_heard.replace(block.pace) != Some(block.pace) {
+            self.put_status().await?; // before anybody shows a value of it
+        }
         self.ended[node] = block.state == StreamState::Ended;
         let elapsed = self.started.elapsed();
         self.last_heard[node] = elapsed;

@@ -197,6 +197,21 @@ impl ChannelColumn {
     }
 }
 
+/// Where a column stands among the names of a file: under its own, else in front of a unit in brackets, as `roof` in `roof [m/s2]`.
+pub(crate) fn places_of<'n>(wanted: &str, names: impl Iterator<Item = &'n str> + Clone) -> Vec<usize> {
+    let places = |is_it: &dyn Fn(&str) -> bool| -> Vec<usize> {
+        names.clone().enumerate().filter(|(_, name)| is_it(name)).map(|(place, _)| place).collect()
+    };
+    let own = places(&|name| name == wanted);
+    if own.is_empty() { places(&|name| without_unit(name) == Some(wanted)) } else { own }
+}
+
+/// The name in front of a unit in brackets, if it has one.
+fn without_unit(name: &str) -> Option<&str> {
+    let (name, _) = name.trim_end().strip_suffix(']')?.rsplit_once('[')?;
+    Some(name.trim_end()).filter(|name| !name.is_empty())
+}
+
 impl TimeUnit {
     /// Digits that a number of this unit has after the point when it is known to the nanosecond.
     pub(crate) fn fraction_digits(self) -> usize {

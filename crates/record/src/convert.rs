@@ -56,8 +56,8 @@ impl RecordedFile {
 
     /// Writes the recording to a file of the format that its name tells: `.csv` or `.mcap`.
     ///
-    /// Values of a unit that is known become SI, and a name loses it: `roof [g]` is `roof`. Others stay as they are. In CSV the
-    /// times of dated channels are seconds since 1970.
+    /// Values of a unit that is known become SI; others stay as they are. The unit stands in brackets behind the name in CSV (`roof [m/s2]`
+    /// of what was `roof [g]`), and beside it in MCAP. In CSV the times of dated channels are seconds since 1970.
     ///
     /// # Errors
     /// The name tells no format, the file cannot be written, or the channels do not fit: in CSV all must have the same rate.
@@ -70,7 +70,7 @@ impl RecordedFile {
 
     fn write_csv(&self, path: &Path) -> Result<(), RecordError> {
         let column = |channel: &RecordedChannel| {
-            let column = ChannelColumn::new(name_in_si(channel)).with_column(channel.name());
+            let column = ChannelColumn::new(name_with_unit(channel)).with_column(channel.name());
             match channel.quantity() {
                 Some((quantity, _)) => column.in_unit_of_file(quantity),
                 None => column,
@@ -94,10 +94,7 @@ impl RecordedFile {
         }
         let stated = |channel: &RecordedChannel| McapChannel {
             name: name_in_si(channel).to_owned(),
-            unit: match channel.quantity() {
-                Some((quantity, _)) => quantity.si_unit().to_owned(),
-                None => channel.unit().unwrap_or_default().to_owned(),
-            },
+            unit: written_unit(channel).to_owned(),
             description: channel.description().unwrap_or_default().to_owned(),
             sampling_rate_hz: channel.sampling_rate_hz(),
             origin: channel.origin(),
@@ -120,6 +117,20 @@ impl RecordedFile {
         }
         writer.finish()
     }
+}
+
+/// The unit of the values that are written: that of SI where their own is known; empty if the recording states none.
+fn written_unit(channel: &RecordedChannel) -> &str {
+    channel.quantity().map_or(channel.unit().unwrap_or_default(), |(quantity, _)| quantity.si_unit())
+}
+
+/// The name of a column, with the unit of its values in brackets where it can stand there.
+fn name_with_unit(channel: &RecordedChannel) -> String {
+    /// What would end the brackets, or the field.
+    const NOT_IN_BRACKETS: [char; 9] = ['[', ']', '(', ')', ',', ';', '"', '\t', '\n'];
+    let (name, unit) = (name_in_si(channel), written_unit(channel));
+    let is_there = unit.is_empty() || unit_of(name) == unit;
+    if is_there || unit.contains(NOT_IN_BRACKETS) { name.to_owned() } else { format!("{name} [{unit}]") }
 }
 
 /// The name without the unit in brackets, if the values are taken to SI.
@@ -164,7 +175,10 @@ mod tests {
             file().write(&path).unwrap();
             let read = RecordedFile::read(&path, &ReadOptions::default()).unwrap();
             for (written, read) in file().channels().iter().zip(read.channels()) {
-                assert_eq!((read.name(), read.sampling_rate_hz()), (written.name(), Some(100.0)), "{name}");
+                let of_table = format!("{} [{}]", written.name(), written.unit().unwrap());
+                let own = if name == "out.csv" { of_table.as_str() } else { written.name() };
+                assert_eq!((read.name(), read.sampling_rate_hz()), (own, Some(100.0)), "{name}");
+                assert_eq!(read.unit(), written.unit(), "{name}");
                 assert_eq!(present(read), present(written), "{name}");
             }
         }
@@ -197,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn unit_in_a_name_goes_when_the_values_become_si() {
+    fn unit_in_a_name_is_that_of_the_values_that_are_written() {
         let folder = tempfile::tempdir().unwrap();
         let table = folder.path().join("table.csv");
         std::fs::write(&table, "time,roof [g],mood [1-5]\n0,1,3\n0.01,2,4\n").unwrap();
@@ -208,8 +222,52 @@ mod tests {
             let read = RecordedFile::read(&path, &ReadOptions::default()).unwrap();
             let channels: Vec<_> =
                 read.channels().iter().map(|channel| (channel.name(), channel.samples().next().unwrap())).collect();
-            assert_eq!(channels, [("roof", 9.80665), ("mood [1-5]", 3.0)], "{name}");
+            let roof = if name == "out.csv" { "roof [m/s2]" } else { "roof" };
+            assert_eq!(channels, [(roof, 9.80665), ("mood [1-5]", 3.0)], "{name}");
+            let again = folder.path().join("again.csv");
+            read.write(&again).unwrap();
+            let header = std::fs::read_to_string(&again).unwrap().lines().next().unwrap().to_owned();
+            assert_eq!(header, "time,roof [m/s2],mood [1-5]", "{name}");
         }
+    }
+
+    /// Broke: a table did not state units at all, and what was a velocity or a voltage could not be told any more.
+    #[test]
+    fn units_are_stated_and_read_again_in_a_table() {
+        let folder = tempfile::tempdir().unwrap();
+        let units = ["cm/sec2", "cm/sec", "cm", "Pa", "Volts", "a,b", ""];
+        let channel = |(number, unit): (usize, &&str)| {
+            let segment = Segment::new(0, vec![1.0, 2.0, 3.0]);
+            RecordedChannel::new(format!("c{number}"), Some(100.0), vec![segment]).with_unit(*unit)
+        };
+        let channels = units.iter().enumerate().map(channel).collect();
+        let path = folder.path().join("out.csv");
+        RecordedFile::from_channels(Path::new("hall.v2"), Format::Csmip, channels).write(&path).unwrap();
+        let read = RecordedFile::read(&path, &ReadOptions::default()).unwrap();
+        let found: Vec<_> = read.channels().iter().map(|channel| channel.unit().unwrap_or_default()).collect();
+        assert_eq!(found, ["m/s2", "m/s", "m", "Pa", "Volts", "", ""]);
+        let quantities: Vec<_> =
+            read.channels().iter().filter_map(|channel| Some(channel.quantity()?.0.name())).collect();
+        assert_eq!(quantities, ["acceleration", "velocity", "displacement", "pressure"]);
+    }
+
+    #[test]
+    fn a_column_is_found_without_the_unit_behind_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.csv");
+        std::fs::write(&path, "time,roof [g],base [m/s2],base [V],deck,deck [g]\n0,1,2,3,4,5\n0.01,1,2,3,4,5\n")
+            .unwrap();
+        let column = |name: &str| ChannelColumn::new(name).in_unit_of_file(crate::Quantity::Acceleration);
+        let file = RecordedFile::read(&path, &ReadOptions::default()).unwrap();
+        let mapping = ColumnMapping::new(vec![column("roof"), column("deck"), column("base [m/s2]")]);
+        let mut in_memory = RecordedRows::new(&file, &mapping).unwrap();
+        assert_eq!(in_memory.next_row().unwrap().unwrap().values, [9.80665, 4.0, 2.0]);
+        let mut by_row = Recording::open(&path, &mapping, OffsetRemoval::Keep).unwrap();
+        assert_eq!(by_row.next_row().unwrap().unwrap().values, [9.80665, 4.0, 2.0]);
+        let either = ColumnMapping::new(vec![column("base")]);
+        let refused = Recording::open(&path, &either, OffsetRemoval::Keep).map(|_| ()).unwrap_err();
+        assert!(matches!(refused, RecordError::RepeatedColumn { .. }), "{refused}");
+        assert!(matches!(RecordedRows::new(&file, &either), Err(RecordError::MissingChannels { .. })));
     }
 
     #[test]

@@ -11,6 +11,7 @@ use csv::{ByteRecord, ReaderBuilder, Terminator};
 
 use crate::{
     ChannelColumn, ColumnMapping, RecordError, RecordReader, Row, TimeSource, TimeUnit,
+    column_mapping::places_of,
     formats::table::unit_of,
     record_time::{TimeForm, seconds_text},
     table_layout::{HEAD_BYTES, Separator, SingleBlanks, TableLayout},
@@ -230,13 +231,12 @@ fn locate_columns(
     let mut missing: Vec<String> = Vec::new();
     let mut indices = Vec::new();
     for name in needed() {
-        let mut found = header.iter().enumerate().filter(|(_, column)| *column == name).map(|(index, _)| index);
-        match (found.next(), found.next()) {
-            (Some(index), None) => indices.push(index),
-            (Some(_), Some(_)) => {
+        match places_of(name, header.iter().map(String::as_str))[..] {
+            [index] => indices.push(index),
+            [] => missing.push(name.to_owned()),
+            [_, _, ..] => {
                 return Err(RecordError::RepeatedColumn { path: path.to_owned(), line, column: name.to_owned() });
             }
-            (None, _) => missing.push(name.to_owned()),
         }
     }
     if !missing.is_empty() {

@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{Cursor, Read};
 use std::path::{Path, PathBuf};
 
+use crate::column_mapping::places_of;
 use crate::fault::Fault;
 use crate::formats::frames::FrameRows;
 use crate::formats::{at2, cosmos, csmip, matlab, mcap, mini_seed, smc, table, tdms, uff58};
@@ -95,11 +96,14 @@ impl RecordedFile {
 
     /// The same recording with the channels of a mapping alone; those that it lacks are found out later.
     pub(crate) fn only(self, mapping: &ColumnMapping) -> Self {
-        let is_mapped =
-            |channel: &RecordedChannel| mapping.channels().iter().any(|column| column.column() == channel.name());
-        let channels = match self.channels.iter().any(is_mapped) {
-            true => self.channels.iter().filter(|channel| is_mapped(channel)).cloned().collect(),
-            false => self.channels.clone(),
+        let names = self.channels.iter().map(RecordedChannel::name);
+        let mut mapped: Vec<usize> =
+            mapping.channels().iter().flat_map(|column| places_of(column.column(), names.clone())).collect();
+        mapped.sort_unstable();
+        mapped.dedup();
+        let channels = match mapped.is_empty() {
+            false => mapped.into_iter().filter_map(|place| self.channels.get(place)).cloned().collect(),
+            true => self.channels.clone(),
         };
         self.with_channels(channels)
     }

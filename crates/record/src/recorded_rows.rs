@@ -2,7 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::{ChannelColumn, ColumnMapping, RecordError, RecordReader, RecordedChannel, RecordedFile, Row, TimeSource};
+use crate::{
+    ChannelColumn, ColumnMapping, RecordError, RecordReader, RecordedChannel, RecordedFile, Row, TimeSource,
+    column_mapping::places_of,
+};
 
 /// Relative difference up to which channels are sampled alike; more than clocks of one recorder differ.
 const RATE_TOLERANCE: f64 = 1e-4;
@@ -32,7 +35,10 @@ impl RecordedRows {
     /// Channels are missing, have no rate or other ones, or units of another quantity; or some have dates and some have none.
     pub fn new(file: &RecordedFile, mapping: &ColumnMapping) -> Result<Self, RecordError> {
         let path = || file.path().to_owned();
-        let of_name = |name: &str| file.channels().iter().find(|channel| channel.name() == name);
+        let of_name = |name: &str| match places_of(name, file.channels().iter().map(RecordedChannel::name))[..] {
+            [place] => file.channels().get(place),
+            _ => None, // several only in front of different units
+        };
         let missing: Vec<String> = mapping
             .channels()
             .iter()

@@ -182,9 +182,10 @@ impl fmt::Display for ChannelSummary {
             None => writeln!(formatter)?,
         }
         let samples = || counted(self.samples, "sample");
+        let digits = digits_of_times(self.sampling_rate_hz);
         match (self.sampling_rate_hz, self.span_s) {
             (Some(rate_hz), Some(span_s)) => {
-                write!(formatter, "  {} at {} Hz, {span_s:.3} s", samples(), rounded(rate_hz))?
+                write!(formatter, "  {} at {} Hz, {span_s:.digits$} s", samples(), rounded(rate_hz))?
             }
             (_, _) => write!(formatter, "  {}, sampling rate not stated", samples())?,
         }
@@ -195,7 +196,7 @@ impl fmt::Display for ChannelSummary {
         }
         if !self.gaps.is_empty() {
             let told =
-                self.gaps.iter().take(MOST_GAPS).map(|gap| format!("{} after {:.3} s", gap.samples, gap.after_s));
+                self.gaps.iter().take(MOST_GAPS).map(|gap| format!("{} after {:.digits$} s", gap.samples, gap.after_s));
             let more = if self.gaps.len() > MOST_GAPS { ", …" } else { "" };
             let told = told.collect::<Vec<_>>().join(", ");
             let (missing, gaps) = (counted(self.missing, "sample"), counted(self.gaps.len() as u64, "gap"));
@@ -205,7 +206,7 @@ impl fmt::Display for ChannelSummary {
             let [mean, std, min, max, peak] = [mean, std, min, max, peak].map(rounded);
             write!(formatter, "  mean {mean}, std {std}, min {min}, max {max}, peak {peak}")?;
             match peak_after_s {
-                Some(after_s) => writeln!(formatter, " after {after_s:.3} s")?,
+                Some(after_s) => writeln!(formatter, " after {after_s:.digits$} s")?,
                 None => writeln!(formatter)?,
             }
         }
@@ -215,6 +216,13 @@ impl fmt::Display for ChannelSummary {
         }
         Ok(())
     }
+}
+
+/// Digits after the point that tell one sample from the next: three at least.
+fn digits_of_times(rate_hz: Option<f64>) -> usize {
+    /// No time is known better than to the nanosecond.
+    const MOST: f64 = 9.0;
+    rate_hz.filter(|rate_hz| *rate_hz > 0.0).map_or(3.0, |rate_hz| rate_hz.log10().ceil().clamp(3.0, MOST)) as usize
 }
 
 /// A number of things, in the singular where it is one.
@@ -260,6 +268,21 @@ mod tests {
         let value: serde_json::Value = serde_json::from_str(&json).unwrap();
         assert_eq!(value["channels"][0]["statistics"]["peak"], -4.0);
         assert_eq!(value["channels"][0]["si_from_unit"], 0.01);
+    }
+
+    /// Broke: the peak of a recording at 20 kHz lay "after 0.001 s" wherever it was within some twenty samples.
+    #[test]
+    fn times_tell_one_sample_from_the_next() {
+        let mut samples = vec![0.0; 100];
+        samples[27] = 5.0;
+        let channel = |rate_hz| RecordedChannel::new("a", Some(rate_hz), vec![Segment::new(0, samples.clone())]);
+        for (rate_hz, told) in
+            [(100.0, "0.270 s"), (1000.0, "0.027 s"), (20_000.0, "0.00135 s"), (65_536.0, "0.00041 s")]
+        {
+            let file = RecordedFile::from_channels(Path::new("hall.uff"), Format::Uff58, vec![channel(rate_hz)]);
+            let text = RecordingSummary::of(&file).to_string();
+            assert!(text.contains(&format!("peak 5 after {told}\n")), "{rate_hz} Hz: {text}");
+        }
     }
 
     #[test]

@@ -71,6 +71,7 @@ struct Batch {
 struct Put {
     first_ns: i64,
     rows: RowsPut,
+    total: u64,
     last_sample_ns: i64,
     next: Vec<Option<SampleBlock>>,
 }
@@ -124,7 +125,7 @@ impl SensorService {
         })
     }
 
-    /// Runs until the rows end or `stop`, and until the services waited for have done what was put.
+    /// Runs until the rows end or `stop`, and until the services waited for have done what was put; returns how many rows that was.
     ///
     /// # Errors
     /// The record cannot be read to its end, or the bus is closed underneath.
@@ -132,25 +133,25 @@ impl SensorService {
         self,
         rows: impl Iterator<Item = Result<Row, E>> + Send + 'static,
         stop: impl Future<Output = ()> + Send + 'a,
-    ) -> BoxedFuture<'a, Result<(), SensorError>>
+    ) -> BoxedFuture<'a, Result<u64, SensorError>>
     where
         SensorError: From<E>,
     {
         self.run_until(Box::new(rows.map(|row| row.map_err(SensorError::from))), Box::pin(stop))
     }
 
-    fn run_until(mut self, rows: Rows, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), SensorError>> {
+    fn run_until(mut self, rows: Rows, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<u64, SensorError>> {
         Box::pin(async move {
             tokio::select! {
                 ready = self.wait_for_services() => ready?,
-                () = &mut stop => return self.withdraw().await,
+                () = &mut stop => return self.withdraw().await.map(|()| 0),
             }
             let min_epoch = match self.settings.resume {
                 false => self.min_epoch().await,
                 true => match self.last_frame().await {
                     Some((_, at)) if at.state == StreamState::Ended => {
                         info!(structure = self.keys.structure().as_str(), "nothing to resume: the frames have ended");
-                        return self.withdraw().await;
+                        return self.withdraw().await.map(|()| 0);
                     }
                     Some((last, at)) => {
                         self.resume_after(&last);
@@ -159,7 +160,8 @@ impl SensorService {
                     None => self.min_epoch().await,
                 },
             };
-            let mut put = Put { first_ns: 0, rows: RowsPut::default(), last_sample_ns: i64::MIN, next: Vec::new() };
+            let mut put =
+                Put { first_ns: 0, rows: RowsPut::default(), total: 0, last_sample_ns: i64::MIN, next: Vec::new() };
             put.next.resize_with(self.publishers.len(), || None);
             let nodes = self.cutter.nodes().to_vec();
             let cutter = std::mem::replace(&mut self.cutter, Cutter::new(nodes, self.settings.epoch, 1));
@@ -185,7 +187,7 @@ impl SensorService {
             match cut {
                 Some(Ok(Err(error))) => Err(error),
                 // Cutting does not panic; if it did, the panic has been reported where it happened.
-                Some(Ok(Ok(())) | Err(_)) | None => Ok(()),
+                Some(Ok(Ok(())) | Err(_)) | None => Ok(put.total),
             }
         })
     }
@@ -273,6 +275,7 @@ impl SensorService {
                 self.publishers[node].put(block).await?;
             }
             put.rows.push(&window, time_ns, rows);
+            put.total += rows;
         }
         Ok(())
     }

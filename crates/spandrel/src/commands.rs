@@ -79,6 +79,11 @@ pub fn refuse_overwriting<'p>(output: &Path, inputs: impl IntoIterator<Item = &'
     }
 }
 
+/// What is said behind the name of an output file that is there already.
+pub fn in_place_of(output: &Path) -> &'static str {
+    if output.exists() { ", in place of the file that was there" } else { "" }
+}
+
 /// Writes a number of things, in the singular where it is one.
 pub fn counted(count: usize, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })

@@ -137,9 +137,9 @@ async fn a_structure_is_told_every_second_with_its_values() {
     };
     let values = site.bus.publish_display(site.keys.parameter(&display.parameter)).await.unwrap();
     let line = watch.line("storey-2", async || values.put(&display).await.unwrap()).await;
-    assert_eq!(line, "1.00 s of a replayed record tower storey-2 0.860 ± 0.010");
+    assert_eq!(line, "1.00 s of a record or simulation tower storey-2 0.860 ± 0.010");
     let line = watch.line("stale", async || {}).await;
-    assert!(line.starts_with("1.00 s of a replayed record tower stale "), "{line}");
+    assert!(line.starts_with("1.00 s of a record or simulation tower stale "), "{line}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

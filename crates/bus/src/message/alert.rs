@@ -4,7 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use super::parameter::{ParameterDisplay, probability_below};
 use super::text::{mend_label, mend_text};
-use super::{CredibleInterval, Format, Malformed, Message, check_finite, check_label, check_range, check_text};
+use super::{
+    CredibleInterval, Format, Malformed, Message, RoundedProbability, check_finite, check_label, check_range,
+    check_text,
+};
 use crate::name::Name;
 
 /// Where the alert of a parameter stands.
@@ -113,20 +116,8 @@ impl AlertMessage {
             display.interval.low,
             display.interval.high,
             percent(self.rule_loss),
-            never_certain(probability),
+            RoundedProbability::new(probability, &[self.rule_credibility]),
         ))
-    }
-}
-
-/// A probability with three decimals, and never 0 or 1.
-fn never_certain(probability: f64) -> String {
-    const HALF_DIGIT: f64 = 5e-4;
-    if probability >= 1.0 - HALF_DIGIT {
-        "above 0.999".to_owned()
-    } else if probability < HALF_DIGIT {
-        "below 0.001".to_owned()
-    } else {
-        format!("{probability:.3}")
     }
 }
 

@@ -62,7 +62,8 @@ pub struct Status {
     pub time_ns: i64,
     /// Wall clock minus time of the last item done, s; none before the first.
     pub lag_s: Option<f64>,
-    /// Whether the samples come as they are measured or from a record, of whom that is known: ingest, once some have come.
+    /// Whether the samples come as they are measured or from a record or simulation, of those that know: ingest, and fuse where nodes
+    /// identify for themselves, once some have come.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pace: Option<Pace>,
     /// Where it stands, of a service that several processes may be ready for: identify.
@@ -87,16 +88,11 @@ pub struct Status {
 
 /// Times before this are those of a record that begins at 0: three years, longer than any.
 const WITHOUT_DATES_BEFORE_NS: u64 = 100_000_000_000_000_000;
-/// A simulation whose times are as near to the clock on the wall as this is one of now.
-const OF_NOW_WITHIN_NS: u64 = 60_000_000_000;
-
-impl Status {
-    /// Whether something measured at `time_ns` is of a record or a simulation with times of its own, to which this ingest belongs:
-    /// a lag behind the clock on the wall says nothing then.
-    #[must_use]
-    pub fn is_of_a_record(&self, time_ns: i64) -> bool {
-        self.pace == Some(Pace::Replayed) && self.time_ns.abs_diff(time_ns) > OF_NOW_WITHIN_NS
-    }
+/// Whether the samples of a structure come as they are measured, by the newest status that says so. Of those that do not, a lag behind
+/// the clock on the wall says nothing. None before anybody has said so.
+#[must_use]
+pub fn pace_told<'s>(statuses: impl Iterator<Item = &'s Status>) -> Option<Pace> {
+    statuses.filter(|status| status.pace.is_some()).max_by_key(|status| status.time_ns)?.pace
 }
 
 /// Whether a time (ns since the Unix epoch) is that of a record without dates, which begins at 0.
@@ -145,15 +141,19 @@ mod tests {
     }
 
     #[test]
-    fn a_record_has_times_of_its_own_and_a_simulation_of_now_has_not() {
-        let hour_ns = 3_600_000_000_000;
-        let replayed = status(Some(Pace::Replayed));
-        assert!(replayed.is_of_a_record(replayed.time_ns - hour_ns) && replayed.is_of_a_record(0));
-        assert!(!replayed.is_of_a_record(replayed.time_ns - 1_000_000_000));
-        for other in [status(Some(Pace::Live)), status(None)] {
-            assert!(!other.is_of_a_record(other.time_ns - hour_ns), "its sensors are late");
-        }
-        assert!(is_without_date(0) && is_without_date(-5) && !is_without_date(replayed.time_ns));
+    fn the_newest_word_on_the_pace_counts() {
+        let at = |time_ns: i64, pace| Status { time_ns, ..status(pace) };
+        let told = |all: &[Status]| pace_told(all.iter());
+        assert_eq!(told(&[]), None);
+        assert_eq!(told(&[status(None)]), None);
+        let [live, replayed] = [Some(Pace::Live), Some(Pace::Replayed)];
+        assert_eq!(told(&[at(1, live), at(2, replayed), at(3, None)]), replayed);
+        assert_eq!(told(&[at(3, live), at(2, replayed)]), live);
+    }
+
+    #[test]
+    fn a_time_near_1970_is_that_of_a_record_without_dates() {
+        assert!(is_without_date(0) && is_without_date(-5) && !is_without_date(status(None).time_ns));
     }
 
     #[test]

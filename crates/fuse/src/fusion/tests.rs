@@ -55,6 +55,16 @@ fn estimates(outputs: &[Output]) -> Vec<&EstimateBlock> {
 }
 
 #[test]
+fn the_station_says_whether_its_nodes_measure_or_replay() {
+    for pace in [Pace::Live, Pace::Replayed] {
+        let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+        assert_eq!(fusion.pace(), None, "no node has spoken");
+        run(&mut fusion, [Input::Present(vec![true; 16]), local(0, message(3, 1, pace, 0.95))]);
+        assert_eq!(fusion.pace(), Some(pace));
+    }
+}
+
+#[test]
 fn replayed_nodes_are_fused_when_all_have_spoken_and_answered_by_name() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     let outputs = run(&mut fusion, (0..15).map(|node| local(node, message(3, 1, Pace::Replayed, 0.95))));

@@ -1,6 +1,6 @@
 //! `spandrel convert`: a recording in another format, at another rate if that is asked for.
 
-use super::{counted, print, refuse_overwriting};
+use super::{counted, in_place_of, print, refuse_overwriting};
 use crate::cli::ConvertArguments;
 use crate::error::AppError;
 use spandrel_record::{OutputFormat, RecordedFile};
@@ -17,9 +17,10 @@ pub fn run(arguments: &ConvertArguments) -> Result<(), AppError> {
         Some(rate_hz) => file.resampled(rate_hz)?,
         None => file,
     };
+    let replacing = in_place_of(&arguments.output);
     file.write(&arguments.output)?;
     let channels = counted(file.channels().len(), "channel", "channels");
-    let mut text = format!("{}: {channels} of {}\n", arguments.output.display(), arguments.record.display());
+    let mut text = format!("{}: {channels} of {}{replacing}\n", arguments.output.display(), arguments.record.display());
     file.remarks().iter().for_each(|remark| text += &format!("  {remark}\n"));
     print(&text)
 }

@@ -117,7 +117,7 @@ async fn show_and_collect(
     };
     let simulation = simulate(bus, structure, keys, &simulation, &no_bar);
     let collected = collect(bus, watched, arguments);
-    let both = async { tokio::try_join!(collected, simulation).map(|(summary, ())| Some(summary)) };
+    let both = async { tokio::try_join!(collected, simulation).map(|(summary, _frames)| Some(summary)) };
     let Some(Shown { page }) = shown else {
         return both.await;
     };

@@ -1,6 +1,6 @@
 //! `spandrel replay`: a recording to the bus, as its sensor nodes would send it.
 
-use super::progress;
+use super::{counted, print, progress};
 use crate::cli::ReplayArguments;
 use crate::error::AppError;
 use crate::record_source;
@@ -35,11 +35,12 @@ pub fn run(arguments: ReplayArguments) -> Result<(), AppError> {
         };
         let nodes = NodePlan::of(&structure, Clocks::Right).map_err(SensorError::from)?;
         let service = SensorService::start(nodes, structure.sampling_rate_hz(), &bus, keys, sensor).await?;
-        let counted = bar.clone();
-        let rows = recorded_rows(recording, 0).inspect(move |_| counted.inc(1));
+        let shown = bar.clone();
+        let rows = recorded_rows(recording, 0).inspect(move |_| shown.inc(1));
         let replayed = service.run(rows, interrupted()).await;
         bar.finish_and_clear();
         bus.close().await?;
-        Ok(replayed?)
+        let frames = counted(replayed? as usize, "frame", "frames");
+        print(&format!("{}: {frames} of {} sent\n", arguments.record.display(), structure.name()))
     })
 }

@@ -1,6 +1,6 @@
 //! `spandrel simulate`: a simulated structure, to the bus or to a file.
 
-use super::{counted, print, progress, refuse_overwriting};
+use super::{counted, in_place_of, print, progress, refuse_overwriting};
 use crate::cli::SimulateArguments;
 use crate::error::AppError;
 use crate::record_source;
@@ -47,12 +47,14 @@ pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
         check(&bus, &settings.bus, &work).await?;
         let bar = progress::bar("simulating", simulation.frames);
         let simulated = tokio::select! {
-            simulated = simulate(&bus, &structure, &keys, &simulation, &bar) => simulated,
-            () = interrupted() => Ok(()),
+            simulated = simulate(&bus, &structure, &keys, &simulation, &bar) => simulated.map(Some),
+            () = interrupted() => Ok(None),
         };
         bar.finish_and_clear();
         bus.close().await?;
-        simulated
+        let Some(frames) = simulated? else { return Ok(()) };
+        let (name, seconds) = (structure.name(), frames as f64 / structure.sampling_rate_hz());
+        print(&format!("{} of {name} sent, {seconds} s, seed {seed}\n", counted(frames as usize, "frame", "frames")))
     })
 }
 
@@ -72,7 +74,7 @@ pub struct Simulation {
 }
 
 /// Sends a simulation to the bus as its sensor nodes would, and waits until alert has decided on all of it; a live one waits
-/// for nobody, and leaves out what is over.
+/// for nobody, and leaves out what is over. Returns the number of frames that were sent.
 ///
 /// # Errors
 /// When the bus is closed underneath.
@@ -82,7 +84,7 @@ pub async fn simulate(
     keys: &Keys,
     simulation: &Simulation,
     bar: &ProgressBar,
-) -> Result<(), AppError> {
+) -> Result<u64, AppError> {
     let &Simulation { speed, seed, frames, start_ns, ref nodes } = simulation;
     let (epoch, live) = (epoch_now(), speed == Speed::Live);
     let wait_for = if live { Vec::new() } else { readers(structure) };
@@ -128,6 +130,7 @@ pub fn readers(structure: &Structure) -> Vec<Service> {
 }
 
 fn write_record(structure: &Structure, path: &Path, seed: u64, frames: u64) -> Result<(), AppError> {
+    let replacing = in_place_of(path);
     let mut writer = RecordWriter::create(path, &record_source::mapping(structure)?, structure.sampling_rate_hz())?;
     let bar = progress::bar("simulating", Some(frames));
     for row in simulated_rows(structure, seed, 0, Some(frames)) {
@@ -138,5 +141,5 @@ fn write_record(structure: &Structure, path: &Path, seed: u64, frames: u64) -> R
     bar.finish_and_clear();
     let (name, seconds) = (structure.name(), frames as f64 / structure.sampling_rate_hz());
     let frames = counted(frames as usize, "frame", "frames");
-    print(&format!("{}: {frames} of {name}, {seconds} s, seed {seed}\n", path.display()))
+    print(&format!("{}: {frames} of {name}, {seconds} s, seed {seed}{replacing}\n", path.display()))
 }

@@ -4,7 +4,7 @@ use super::natural_name::NaturalName;
 use super::trail::Trail;
 use spandrel_bus::{
     AlertMessage, AlertState, Arrivals, Event, EventKind, MAX_CHANNELS, ModelClassDisplay, Name, NodeDisplay,
-    NoiseDisplay, ParameterDisplay, Progress, Service, Status, is_without_date,
+    NoiseDisplay, Pace, ParameterDisplay, Progress, Service, Status, is_without_date, pace_told,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -369,12 +369,19 @@ impl StructureHeard {
         self.stale_alerts.contains(&NaturalName(parameter.clone()))
     }
 
-    /// Whether what is measured is of a record or a simulation with times of its own, whose lag behind the clock says nothing.
+    /// Whether what is measured is of a record or a simulation, whose times are their own.
     pub fn is_replayed(&self) -> bool {
         let Some(time_ns) = self.time_ns else { return false };
-        let mut ingest = self.instances.iter().filter(|((service, _), _)| *service == Service::Ingest);
-        let is_of_a_record = |status: &Status| status.is_of_a_record(time_ns);
-        is_without_date(time_ns) || ingest.any(|(_, instance)| instance.status.as_ref().is_some_and(is_of_a_record))
+        is_without_date(time_ns) || self.pace() == Some(Pace::Replayed)
+    }
+
+    /// Whether a lag behind the clock says something: of samples that are known to come as they are measured.
+    pub fn has_lag(&self) -> bool {
+        self.pace() == Some(Pace::Live) && !self.is_replayed()
+    }
+
+    fn pace(&self) -> Option<Pace> {
+        pace_told(self.instances.values().filter_map(|instance| instance.status.as_ref()))
     }
 
     /// What the newest value of a parameter says of the loss that its alert is about.

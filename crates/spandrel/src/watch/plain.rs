@@ -32,7 +32,7 @@ pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) ->
         time(time_ns),
         match structure.origin() {
             Origin::Measured => "",
-            Origin::Replayed => " of a replayed record",
+            Origin::Replayed => " of a record or simulation",
             Origin::ReadAgain => " read again from the recording",
         },
         stale.unwrap_or_default(),
@@ -64,7 +64,7 @@ fn services(heard: &Heard, structure: &StructureHeard) -> String {
         // writing to a String does not fail
         let _ = write!(text, "{separator}{}/{id}", service.as_str());
         let Some(status) = &instance.status else { continue };
-        if let Some(lag_s) = status.lag_s.filter(|_| !structure.is_replayed()) {
+        if let Some(lag_s) = status.lag_s.filter(|_| structure.has_lag()) {
             let _ = write!(text, " {}", lag(lag_s));
         }
         if let Some(load) = status.load.filter(|load| *load != Load::Normal) {
@@ -88,7 +88,7 @@ mod tests {
     use super::super::heard::Input;
     use super::super::testing::{alert, at, classes, damaged_tower, heard, name, parameter, present, progress, status};
     use super::*;
-    use spandrel_bus::{AlertState, Pace};
+    use spandrel_bus::{AlertState, Pace, Status};
 
     fn line(heard: &Heard) -> String {
         structure_line(heard, &name("tower"), heard.structure(&name("tower")).unwrap())
@@ -127,13 +127,12 @@ mod tests {
     }
 
     #[test]
-    fn a_replayed_record_has_its_time_and_no_lag() {
+    fn a_record_or_simulation_has_its_time_and_no_lag() {
         let mut tower = damaged_tower();
-        let mut ingest = status(Service::Ingest, 8e8, &[]);
-        (ingest.pace, ingest.time_ns) = (Some(Pace::Replayed), ingest.time_ns + 800_000_000_000_000_000);
+        let ingest = Status { pace: Some(Pace::Replayed), ..status(Service::Ingest, -27.0, &[]) };
         tower.handle(Input::Status(ingest), &mut Vec::new());
         let told = line(&tower);
-        assert!(told.starts_with("2024-02-29 12:00:59 UTC of a replayed record tower storey-1"), "{told}");
+        assert!(told.starts_with("2024-02-29 12:00:59 UTC of a record or simulation tower storey-1"), "{told}");
         assert!(told.ends_with("; ingest/a, identify/a drops 3, alert/a"), "{told}");
     }
 

@@ -135,7 +135,10 @@ impl Losses {
         let first = losses.next();
         let common = first.filter(|first| losses.all(|loss| loss == *first));
         let mut all = Self { common, width: 0 };
-        let cells = structure.parameters.values().map(|parameter| all.cell(parameter).chars().count());
+        let cells = structure
+            .parameters
+            .iter()
+            .map(|(name, parameter)| all.cell(parameter, structure.alerts.get(name)).chars().count());
         all.width = cells.max().unwrap_or(0).max(all.header().chars().count());
         all
     }
@@ -144,8 +147,9 @@ impl Losses {
         self.common.map_or_else(|| "P(loss)".to_owned(), |loss| format!("P(loss > {})", share(loss)))
     }
 
-    fn cell(&self, parameter: &ParameterHeard) -> String {
-        let found = probability(parameter.display.probability_of_loss);
+    fn cell(&self, parameter: &ParameterHeard, alert: Option<&AlertMessage>) -> String {
+        let asked = alert.map(|alert| alert.rule_credibility);
+        let found = probability(parameter.display.probability_of_loss, asked);
         match self.common {
             Some(_) => found,
             None => format!("> {}: {found}", share(parameter.display.loss)),
@@ -221,7 +225,7 @@ fn row(
         cell(&bar, columns.bar).map(|span| span.style(style)),
         right_cell(&estimate(display.mean, display.std), ESTIMATE),
         right_cell(&interval, columns.interval),
-        right_cell(&losses.cell(parameter), columns.loss),
+        right_cell(&losses.cell(parameter, known), columns.loss),
         cell(state, STATE).map(|span| span.style(style)),
     ];
     Line::from_iter(spans.into_iter().flatten())
@@ -245,7 +249,7 @@ fn title(name: &Name, structure: &StructureHeard) -> Line<'static> {
 fn time_of(heard: &Heard, structure: &StructureHeard) -> Line<'static> {
     let origin = match structure.origin() {
         Origin::Measured => "",
-        Origin::Replayed => " · replayed record",
+        Origin::Replayed => " · replayed or simulated",
         Origin::ReadAgain => " · read again from the recording",
     };
     let measured = structure.time_ns.map(|time_ns| format!("{}{origin}", time(time_ns)));
@@ -293,7 +297,7 @@ fn footer(heard: &Heard, structure: &StructureHeard, width: usize) -> Vec<Line<'
 pub fn leading_class(display: &ModelClassDisplay) -> String {
     let ModelClassDisplay { leading, believed, classes, calibrations, .. } = display;
     let plausibility = classes.iter().find(|class| class.class == *leading).map_or(0.0, |class| class.plausibility);
-    let mut text = format!("{} leads with {}", printable(leading), probability(plausibility));
+    let mut text = format!("{} leads with {}", printable(leading), probability(plausibility, None));
     if believed != leading {
         text.push_str(&format!(", {} before it", printable(believed)));
     }
@@ -320,7 +324,7 @@ fn service_item(heard: &Heard, structure: &StructureHeard, who: String, instance
     if let Some(status) = &instance.status {
         match status.lag_s {
             None => text.push_str(" waits for data"),
-            Some(_) if structure.is_replayed() => {} // the times are those of a record
+            Some(_) if !structure.has_lag() => {} // the times are those of a record, or nobody has said whose they are
             Some(lag_s) => text.push_str(&format!(" {}", lag(lag_s))),
         }
         if let Some(load) = status.load.filter(|load| *load != Load::Normal) {

@@ -3,7 +3,7 @@
 use super::heard::{Heard, Input, Instance};
 use spandrel_bus::{
     AlertMessage, AlertState, ClassPlausibility, CredibleInterval, Event, EventKind, Header, ModelClassDisplay, Name,
-    NodeDisplay, NodeHealth, NoiseDisplay, ParameterDisplay, Progress, Service, Status,
+    NodeDisplay, NodeHealth, NoiseDisplay, Pace, ParameterDisplay, Progress, Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -100,7 +100,7 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
         id: name("a"),
         time_ns: TIME_NS,
         lag_s: Some(lag_s),
-        pace: None,
+        pace: (service == Service::Ingest).then_some(Pace::Live),
         load: None,
         frames_behind: None,
         state: None,

@@ -4,7 +4,7 @@ use super::heard::StructureHeard;
 use jiff::Timestamp;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::Span;
-use spandrel_bus::{AlertMessage, AlertState};
+use spandrel_bus::{AlertMessage, AlertState, RoundedProbability};
 use std::time::Duration;
 
 /// The colour of a state; the word says the same.
@@ -43,16 +43,9 @@ pub fn estimate(mean: f64, std: f64) -> String {
     format!("{mean:.3} ± {std:.3}")
 }
 
-/// A probability in per cent that never reads as certainty.
-pub fn probability(value: f64) -> String {
-    const LEAST: f64 = 0.001;
-    if value < LEAST {
-        "< 0.1 %".to_owned()
-    } else if value > 1.0 - LEAST {
-        "> 99.9 %".to_owned()
-    } else {
-        format!("{:.1} %", value * 100.0)
-    }
+/// A probability in per cent that never reads as certainty, with the digits that tell on which side of the one asked for it lies.
+pub fn probability(value: f64, asked: Option<f64>) -> String {
+    RoundedProbability::new(value, asked.as_slice()).percent()
 }
 
 /// A share in per cent, with a decimal only where it needs one.
@@ -126,8 +119,9 @@ mod tests {
     #[test]
     fn probabilities_never_read_as_certainty() {
         for (value, expected) in [(0.0, "< 0.1 %"), (0.012, "1.2 %"), (0.5, "50.0 %"), (1.0, "> 99.9 %")] {
-            assert_eq!(probability(value), expected);
+            assert_eq!(probability(value, Some(0.99)), expected);
         }
+        assert_eq!(probability(0.9899, Some(0.99)), "98.99 %");
     }
 
     #[test]
