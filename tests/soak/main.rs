@@ -97,15 +97,6 @@ struct Town {
     _router: Bus,
 }
 
-/// What the units set of the allocator.
-fn of_units() -> Vec<(String, String)> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/spandrel@.service");
-    let unit = std::fs::read_to_string(path).unwrap();
-    let line = unit.lines().find(|line| line.starts_with("Environment=MALLOC_")).expect("settings of the allocator");
-    let settings = line.trim_start_matches("Environment=").split(' ');
-    settings.map(|setting| setting.split_once('=').unwrap()).map(|(name, value)| (name.into(), value.into())).collect()
-}
-
 impl Town {
     async fn start() -> Self {
         let house = |number: usize| {
@@ -135,7 +126,7 @@ impl Town {
                 sites[0].keys().root().as_str(),
             ]);
             command.args(["--connect", sites[0].endpoint()]).arg("--config").arg(&configuration);
-            (service, Process::start(command.envs(of_units())))
+            (service, Process::start(&mut command))
         };
         let services: BTreeMap<_, _> = SERVICES.into_iter().map(start).collect();
         let all = format!("ready structures={STRUCTURES}");
