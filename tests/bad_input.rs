@@ -8,7 +8,7 @@ use std::io::Write;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use support::{Finished, Process, Record, Site, free_endpoint, spandrel, two_storeys};
+use support::{Finished, Process, Record, Site, free_endpoint, spandrel, storeys, two_storeys};
 use tempfile::TempDir;
 
 const BAD_INPUT: i32 = 2;
@@ -499,4 +499,15 @@ fn output_that_is_an_input_is_refused_and_left_as_it_was() {
     }
     assert_eq!(std::fs::read_to_string(&structure).unwrap(), text);
     assert_eq!(std::fs::read(&record).unwrap(), before);
+}
+
+// It was told by warnings of the other one only, while the standby stayed `joining` for ever.
+#[test]
+fn a_structure_that_cannot_be_handed_over_is_refused_a_standby_with_its_size() {
+    let site = Site::with(&storeys(400, ""));
+    finish(site.listening("identify").arg("--standby")).expect_code(BAD_INPUT).expect_told(&[
+        "structure house cannot have a standby",
+        "must have at most 8388608",
+        "--standby",
+    ]);
 }
