@@ -38,8 +38,6 @@
 //! an append; those of an epoch lower than the last are refused, as are those of an epoch that has ended.
 
 use std::borrow::Cow;
-use std::fs::{File, OpenOptions, TryLockError};
-use std::os::unix::fs::FileExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -47,6 +45,7 @@ mod chunk;
 mod folder;
 mod frames;
 mod layout;
+mod note;
 mod opening;
 mod payload;
 mod reader;
@@ -56,6 +55,7 @@ mod syncer;
 
 use chunk::append_entries;
 use folder::Folder;
+use note::Note;
 use segment::{OpenSegment, SegmentName};
 use syncer::sync_folder;
 
@@ -72,10 +72,6 @@ use crate::RecordError;
 /// Chunks after which a segment ends: the writer of MCAP holds the index of all of them, about 300 bytes each, and live samples in blocks
 /// of 50 ms are twenty chunks a second.
 const MOST_CHUNKS: u32 = 1 << 12;
-/// Name of the file that is locked while the log is open.
-const LOCK: &str = "lock";
-/// What stands in it where the log is complete. Where it is not the first letter stands alone: a full disk lets a file be cut.
-const COMPLETE: &[u8] = b"complete";
 const NANOSECONDS: u64 = 1_000_000_000;
 
 /// How long segments are, and how many are kept.
@@ -135,7 +131,7 @@ pub struct FrameLog {
     segment: Option<OpenSegment>,
     segment_start_ns: i64,
     syncer: LogSyncer,
-    lock: File,
+    note: Note,
 }
 
 impl std::fmt::Debug for FrameLog {
@@ -158,10 +154,13 @@ impl FrameLog {
             // the name of the folder too; a parent that cannot be opened for reading is no reason to log nothing
             let _ = sync_folder(parent);
         }
-        let lock = locked(folder)?;
+        let note = Note::lock(folder)?;
         let shared = Arc::new(Folder::read(folder)?);
         let stated = StatedLayout { layout, boot_id: layout::boot_id() };
-        let opened = OpenedLog { is_complete: noted(&lock), ..opening::newest(&shared, &stated)? };
+        let found = opening::newest(&shared, &stated)?;
+        // a segment may be in order because it was full, and the next one lost with the power
+        let was_closed = found.was_closed && note.allows_closed();
+        let opened = OpenedLog { was_closed, is_complete: note.is_complete(), ..found };
         let end = opened.last.as_ref().map(LogEnd::of);
         let newest_ns = opened.last.as_ref().map(LoggedFrames::last_time_ns);
         let log = Self {
@@ -172,7 +171,7 @@ impl FrameLog {
             segment: None,
             segment_start_ns: 0,
             syncer: LogSyncer::new(folder),
-            lock,
+            note,
         };
         if let Some(newest_ns) = newest_ns {
             log.delete_older_than(newest_ns)?;
@@ -197,6 +196,7 @@ impl FrameLog {
             // what does not fit on the disk is cut off again: frames are not in danger
             let _ = self.end_segment();
         }
+        self.note.written()?;
         let begins = self.segment.is_none();
         let mut segment = match self.segment.take() {
             Some(segment) => segment,
@@ -234,13 +234,8 @@ impl FrameLog {
     ///
     /// # Errors
     /// The disk refuses.
-    pub fn note_complete(&self, is_complete: bool) -> Result<(), RecordError> {
-        let noted = match is_complete {
-            true => self.lock.write_all_at(COMPLETE, 0),
-            false => self.lock.set_len(1),
-        };
-        let path = || self.folder.path().join(LOCK);
-        noted.and_then(|()| self.lock.sync_data()).map_err(|source| RecordError::WriteLog { path: path(), source })
+    pub fn note_complete(&mut self, is_complete: bool) -> Result<(), RecordError> {
+        self.note.complete(is_complete)
     }
 
     /// What brings the log to the disk itself, on any thread.
@@ -259,7 +254,8 @@ impl FrameLog {
     /// The end does not fit on the disk, or the disk refuses; the frames themselves are in the log.
     pub fn close(mut self) -> Result<(), RecordError> {
         self.end_segment()?;
-        self.syncer.sync()
+        self.syncer.sync()?;
+        self.note.closed()
     }
 
     /// The blocks, or parts of them, that are not in the log yet, and how far it goes with them.
@@ -385,28 +381,7 @@ pub(crate) fn is_segment(file_name: &str) -> bool {
 
 /// Whether a file of this name is in the folder of a frame log without being part of the recording.
 pub(crate) fn is_lock(file_name: &str) -> bool {
-    file_name == LOCK
-}
-
-/// The lock of a folder, which lasts as long as the file is open.
-fn locked(folder: &Path) -> Result<File, RecordError> {
-    let path = folder.join(LOCK);
-    let opened = OpenOptions::new().create(true).read(true).write(true).truncate(false).open(&path);
-    let file = opened.map_err(|source| RecordError::WriteLog { path: path.clone(), source })?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => Err(RecordError::LogInUse { folder: folder.to_owned() }),
-        Err(TryLockError::Error(source)) => Err(RecordError::WriteLog { path, source }),
-    }
-}
-
-/// What is noted in the locked file; nothing in that of an earlier version.
-fn noted(lock: &File) -> Option<bool> {
-    let mut found = [0; COMPLETE.len()];
-    match lock.metadata() {
-        Ok(metadata) if metadata.len() == 0 => None,
-        _ => Some(lock.read_exact_at(&mut found, 0).is_ok() && found == COMPLETE),
-    }
+    file_name == note::LOCK
 }
 
 #[cfg(test)]

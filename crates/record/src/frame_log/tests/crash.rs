@@ -128,7 +128,7 @@ fn whether_a_log_has_all_that_others_know_of_is_noted_for_the_next_one() {
     for (noted, found) in
         [(None, None), (Some(false), Some(false)), (Some(true), Some(true)), (Some(false), Some(false))]
     {
-        let (log, _) = open(folder.path());
+        let (mut log, _) = open(folder.path());
         if let Some(noted) = noted {
             log.note_complete(noted).unwrap();
         }
@@ -137,6 +137,23 @@ fn whether_a_log_has_all_that_others_know_of_is_noted_for_the_next_one() {
         assert_eq!(opened.is_complete, found);
         drop(log);
     }
+}
+
+/// A full segment ends in order, and the one after it may be lost with the power: that log was not closed.
+#[test]
+fn a_log_whose_newest_segment_is_gone_was_not_closed() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = LogSettings { segment_bytes: 1, ..LogSettings::default() };
+    let (mut log, _) = FrameLog::open(folder.path(), layout(), settings).unwrap();
+    log.append(&[frames(1, 0, 5)]).unwrap();
+    log.append(&[frames(1, 5, 5)]).unwrap();
+    let newest = log.segment.as_ref().unwrap().path().to_owned();
+    drop(log);
+    std::fs::remove_file(newest).unwrap();
+    let (log, opened) = open(folder.path());
+    assert_eq!((opened.was_closed, opened.torn_bytes, opened.last), (false, 0, Some(frames(1, 0, 5))));
+    log.close().unwrap();
+    assert!(open(folder.path()).1.was_closed);
 }
 
 #[test]
