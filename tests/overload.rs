@@ -263,6 +263,7 @@ async fn the_watchdog_is_fed_while_a_heavy_model_catches_up_and_a_stop_is_heard(
     }
 
     let mut command = site.connecting("identify");
+    command.env("SPANDREL_THREADS", "1"); // another thread would answer for the one at work
     let mut systemd = Systemd::of(&mut command, &site);
     let identify = Process::start(&mut command);
     assert_eq!(systemd.next().await, "READY=1");
