@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{SystemTime, UNIX_EPOCH};
-use support::{Process, Site, within};
+use support::{Process, Site, distributed_storeys, within};
 
 /// The node whose worker is a process of its own.
 const NODE: &str = "floor-2";
@@ -22,26 +22,6 @@ const LENGTH_S: f64 = 600.0;
 /// Fusions before the first one is killed, and from one to the next.
 const LEARNT: usize = 20;
 const RECOVERED: usize = 5;
-
-/// Four storeys of which each floor identifies for itself; their stiffness is 10 % above what the filters start from.
-fn house() -> String {
-    let mut text = "[structure]\nname = \"house\"\nsampling-rate-hz = 50\nidentification = \"distributed\"\n\
-         [model]\nkind = \"shear-building\"\nstoreys = 4\nmass-kg = 20_000\nfirst-frequency-hz = 1.0\n\
-         [damping]\nkind = \"rayleigh\"\nratio = 0.02\n\
-         [[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.5\n"
-        .to_owned();
-    for storey in 1..=4 {
-        text += &format!(
-            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\nof = [\"storey-{storey}\"]\nmean = 0.9\nstd = 0.1\n\
-             [[node]]\nname = \"floor-{storey}\"\n\
-             [[node.channel]]\nname = \"displacement-{storey}\"\nquantity = \"displacement\"\ndof = \"floor-{storey}\"\n\
-             unit = \"m\"\nnoise-std = 2e-4\n\
-             [[node.channel]]\nname = \"acceleration-{storey}\"\nquantity = \"absolute-acceleration\"\ndof = \"floor-{storey}\"\n\
-             unit = \"m/s2\"\nnoise-std = 0.01\n"
-        );
-    }
-    text + "[filter]\nhalf-life-s = 60\nannealing-amount = 0\n[fusion]\nrate-hz = 1\n[simulation]\nseed = 1\n"
-}
 
 /// A fused estimate: time (ns since 1970), epoch of the station, means and standard deviations of the parameters.
 #[derive(Debug, Clone)]
@@ -66,7 +46,7 @@ struct Town {
 
 impl Town {
     async fn start() -> Self {
-        let site = Site::with(&house());
+        let site = Site::with(&distributed_storeys(1.0));
         let configuration = site.folder().join("spandrel.toml");
         let text = "[bus]\nmode = \"client\"\n[state]\nfolder = \"kept\"\ncheckpoint-s = 0.5\n";
         std::fs::write(&configuration, text).unwrap();

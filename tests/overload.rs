@@ -9,7 +9,11 @@ use spandrel_bus::{
     Bus, BusConfig, Event, EventKind, Load, Mode, ParameterDisplay, ProgressWatch, Service, Status, StreamState,
     Subscription,
 };
+use std::os::unix::net::UnixDatagram;
+use std::process::Command;
+use std::time::Duration;
 use support::{EstimateReader, Process, Sensors, Site, assert_same_bits, within};
+use tokio::sync::mpsc;
 
 /// Rows of a block.
 const BLOCK: usize = 20;
@@ -21,20 +25,32 @@ fn tower() -> String {
     let storeys = |range: std::ops::RangeInclusive<u32>| -> String {
         range.map(|storey| format!("\"storey-{storey}\"")).collect::<Vec<_>>().join(", ")
     };
-    let parameter =
-        |name: &str, of: String| format!("[[parameter]]\nname = \"{name}\"\nscales = \"stiffness\"\nof = [{of}]\n");
+    tower_with(60, &(parameter("lower", storeys(1..=30)) + &parameter("upper", storeys(31..=60))))
+}
+
+/// One of 160 storeys with the stiffness of each storey to be found: a few hundred frames a second.
+fn heavy_tower() -> String {
+    let of_storey = |storey| parameter(&format!("stiffness-{storey}"), format!("\"storey-{storey}\""));
+    tower_with(160, &(1..=160).map(of_storey).collect::<String>())
+}
+
+fn parameter(name: &str, of: String) -> String {
+    format!("[[parameter]]\nname = \"{name}\"\nscales = \"stiffness\"\nof = [{of}]\n")
+}
+
+fn tower_with(storeys: u32, parameters: &str) -> String {
     let node = |floor: u32| {
         format!(
             "[[node]]\nname = \"floor-{floor}\"\n[[node.channel]]\nname = \"floor-{floor}\"\n\
              quantity = \"absolute-acceleration\"\ndof = \"floor-{floor}\"\nunit = \"m/s2\"\nnoise-std = 0.005\n"
         )
     };
-    "[structure]\nname = \"tower\"\nsampling-rate-hz = 100\n\
-     [model]\nkind = \"shear-building\"\nstoreys = 60\nmass-kg = 20_000\nfirst-frequency-hz = 0.5\n\
+    let model = format!("[model]\nkind = \"shear-building\"\nstoreys = {storeys}\n");
+    "[structure]\nname = \"tower\"\nsampling-rate-hz = 100\n".to_owned()
+        + &model
+        + "mass-kg = 20_000\nfirst-frequency-hz = 0.5\n\
      [damping]\nkind = \"rayleigh\"\nratio = 0.02\n"
-        .to_owned()
-        + &parameter("lower", storeys(1..=30))
-        + &parameter("upper", storeys(31..=60))
+        + parameters
         + "[[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.1\nmeasured-on = \"ground\"\n\
            [[node]]\nname = \"ground\"\n[[node.channel]]\nname = \"ground\"\n\
            quantity = \"ground-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.005\n"
@@ -187,4 +203,80 @@ async fn an_overloaded_identification_sheds_display_falls_behind_and_catches_up_
     for service in services.into_iter().rev() {
         service.stop().expect_code(0);
     }
+}
+
+/// What systemd hears of a service whose unit has a watchdog.
+struct Systemd {
+    words: mpsc::UnboundedReceiver<String>,
+}
+
+impl Systemd {
+    /// Time without a word of life after which systemd would kill the process.
+    const WATCHDOG: Duration = Duration::from_secs(4);
+
+    fn of(command: &mut Command, site: &Site) -> Self {
+        let path = site.folder().join("notify");
+        let socket = UnixDatagram::bind(&path).unwrap();
+        command.env("NOTIFY_SOCKET", path).env("WATCHDOG_USEC", Self::WATCHDOG.as_micros().to_string());
+        command.env_remove("WATCHDOG_PID");
+        let (heard, words) = mpsc::unbounded_channel();
+        std::thread::spawn(move || {
+            let mut buffer = [0; 512];
+            while let Ok(count) = socket.recv(&mut buffer) {
+                let word = String::from_utf8_lossy(&buffer[..count]).trim().to_owned();
+                if heard.send(word).is_err() {
+                    return;
+                }
+            }
+        });
+        Self { words }
+    }
+
+    async fn next(&mut self) -> String {
+        within("a word to systemd", self.words.recv()).await.unwrap()
+    }
+
+    /// Waits for the next word of life as systemd does.
+    async fn is_fed(&mut self, what: impl Fn() -> String) {
+        match tokio::time::timeout(Self::WATCHDOG, self.words.recv()).await {
+            Ok(word) => assert_eq!(word.unwrap(), "WATCHDOG=1"),
+            Err(_elapsed) => panic!("systemd would have killed it: {}", what()),
+        }
+    }
+}
+
+/// A fetched block was one piece of work: longer than the time of the watchdog, whose end was then the only one it came to.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_watchdog_is_fed_while_a_heavy_model_catches_up_and_a_stop_is_heard() {
+    const FRAMES: usize = 4_000;
+    let site = Site::with(&heavy_tower());
+    let record = site.simulate(FRAMES as f64 / 100.0);
+    let ingest = Process::start(&mut site.listening("ingest"));
+    ingest.wait_for_log("ready structures=1");
+    let (bus, keys) = (site.join().await, site.keys());
+    let mut made = bus.watch_progress(keys.progress(Service::Ingest)).await.unwrap();
+    let identified = bus.watch_progress(keys.progress(Service::Identify)).await.unwrap();
+    let mut sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
+    for first in (0..FRAMES).step_by(500) {
+        sensors.put(first..first + 500).await;
+        within("frames", made.wait_for(|progress| progress.done >= first as u64 + 500)).await;
+    }
+
+    let mut command = site.connecting("identify");
+    command.env("SPANDREL_THREADS", "1"); // another thread would answer for the one at work
+    let mut systemd = Systemd::of(&mut command, &site);
+    let identify = Process::start(&mut command);
+    assert_eq!(systemd.next().await, "READY=1");
+    let done = || identified.latest().map_or(0, |progress| progress.done);
+    let told = || format!("{} of {FRAMES} frames are identified", done());
+    let mut times = 0;
+    while times < 2 || done() == 0 {
+        systemd.is_fed(told).await;
+        times += 1;
+    }
+    assert!(done() < FRAMES as u64, "it has caught up already: this tests nothing");
+    identify.terminate();
+    while systemd.next().await != "STOPPING=1" {}
+    identify.wait().expect_code(0).expect_untold(&["did not finish in time", "do not answer"]);
+    assert!(done() < FRAMES as u64, "it has worked off all before it stopped");
 }

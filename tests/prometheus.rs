@@ -47,6 +47,52 @@ fn promtool_finds_nothing_wrong_in_configuration_and_rules() {
     }
 }
 
+/// What a count does in ten minutes, by the reason and the service that counts it, and the rule that has to fire by then.
+const DISKS: [(&str, &str, &str, &str); 6] = [
+    ("frames-waiting-for-the-disk", "ingest", "0x4 500+10x16", "SpandrelRecordingWaits"),
+    ("frames-not-recorded", "ingest", "_x4 40+10x16", "SpandrelFramesNotRecorded"),
+    ("failed-writes", "history", "_x4 1+2x16", "SpandrelHistoryNotWritten"),
+    ("checkpoints-not-kept", "alert", "_x4 1+6x16", "SpandrelCheckpointsNotKept"),
+    // over since long: they do not go on firing
+    ("checkpoints-not-kept", "identify", "7x20", ""),
+    ("failed-writes", "notify", "3x20", ""),
+];
+
+#[test]
+fn the_rules_of_the_disks_fire_while_something_is_not_kept_and_not_after_that() {
+    if !is_installed() {
+        return;
+    }
+    // promtool compares the words too, which are for people: they are left out
+    let rules = std::fs::read_to_string(deploy("prometheus/rules.yml")).unwrap();
+    let is_word = |line: &&str| ["annotations:", "summary:"].iter().any(|word| line.trim().starts_with(word));
+    let rules: Vec<&str> = rules.lines().filter(|line| !is_word(line)).collect();
+    let mut text = "rule_files: [rules.yml]\nevaluation_interval: 30s\ntests:\n".to_owned();
+    for (reason, service, values, fires) in DISKS {
+        let labels = format!("structure=\"tower\", service=\"{service}\", id=\"one\", reason=\"{reason}\"");
+        text +=
+            &format!("  - interval: 30s\n    input_series:\n      - series: 'spandrel_dropped_total{{{labels}}}'\n");
+        text += &format!("        values: '{values}'\n    alert_rule_test:\n");
+        for (_, _, _, rule) in DISKS.iter().filter(|(_, _, _, rule)| !rule.is_empty()) {
+            text += &format!("      - eval_time: 10m\n        alertname: {rule}\n        exp_alerts: [");
+            if *rule == fires {
+                let severity = if fires == "SpandrelFramesNotRecorded" { "critical" } else { "warning" };
+                text += &format!(
+                    "{{ exp_labels: {{ structure: tower, service: {service}, id: one, reason: {reason}, severity: {severity} }} }}"
+                );
+            }
+            text += "]\n";
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("rules.yml"), rules.join("\n")).unwrap();
+    let file = folder.path().join("test.yml");
+    std::fs::write(&file, &text).unwrap();
+    let tested = Command::new("promtool").args(["test", "rules"]).arg(&file).output().unwrap();
+    let told = String::from_utf8_lossy(&tested.stdout).into_owned() + &String::from_utf8_lossy(&tested.stderr);
+    assert!(tested.status.success(), "{told}\n{text}");
+}
+
 /// A Prometheus that ends with its test.
 struct Prometheus {
     child: Child,
@@ -230,5 +276,15 @@ fn each_query_of_the_dashboard_finds_values_and_the_rules_are_in_force() {
     });
     let rules: Vec<&str> =
         rules["groups"][0]["rules"].as_array().unwrap().iter().map(|rule| rule["name"].as_str().unwrap()).collect();
-    assert_eq!(rules, ["SpandrelDown", "SpandrelNothingMeasured", "SpandrelServiceGone", "SpandrelBehind"]);
+    let expected = [
+        "SpandrelDown",
+        "SpandrelNothingMeasured",
+        "SpandrelServiceGone",
+        "SpandrelBehind",
+        "SpandrelRecordingWaits",
+        "SpandrelFramesNotRecorded",
+        "SpandrelHistoryNotWritten",
+        "SpandrelCheckpointsNotKept",
+    ];
+    assert_eq!(rules, expected);
 }

@@ -4,9 +4,13 @@
 
 mod support;
 
-use spandrel_bus::{Acknowledgement, AlertMessage, AlertState, Description, Name, Service};
+use spandrel_bus::{
+    Acknowledgement, AlertMessage, AlertState, Block, Bus, Description, EstimateBlock, Name, Service, Subscription,
+};
+use std::path::{Path, PathBuf};
 use support::{
-    DEADLINE, EstimateReader, Identified, Process, Site, assert_same_bits, five_storeys, two_storeys, within,
+    DEADLINE, EstimateReader, Identified, Process, Site, assert_same_bits, distributed_storeys, five_storeys,
+    two_storeys, within,
 };
 
 /// Longer than what may be on the way, so that a replay cannot end before it has been read from.
@@ -153,6 +157,110 @@ async fn a_hangup_keeps_an_acknowledgement_and_ends_what_the_new_rule_does_not_r
     assert!(ended.why.starts_with(why), "{}", ended.why);
     services.wait_for_log("alert of storey-2 has ended");
     services.stop().expect_code(0);
+}
+
+/// What ends while sensors go on: services of one configuration, whose only checkpoints are those of their ends.
+struct Beside {
+    site: Site,
+    configuration: PathBuf,
+    bus: Bus,
+    estimates: Subscription<EstimateBlock>,
+    _host: Process,
+}
+
+impl Beside {
+    /// Starts the service that the others connect to.
+    async fn start(site: Site, host: &str) -> Self {
+        let configuration = site.folder().join("spandrel.toml");
+        std::fs::write(&configuration, "[state]\nfolder = \"kept\"\ncheckpoint-s = 3600\n").unwrap();
+        let host = Process::start(site.listening(host).arg("--config").arg(&configuration));
+        host.wait_for_log("ready structures=1");
+        let bus = site.join().await;
+        let estimates = bus.subscribe(site.keys().estimates(), 1 << 12).await.unwrap();
+        Self { site, configuration, bus, estimates, _host: host }
+    }
+
+    fn service(&self, subcommand: &str, arguments: &[&str]) -> Process {
+        Process::start(self.site.connecting(subcommand).args(arguments).arg("--config").arg(&self.configuration))
+    }
+
+    /// Sensors that measure for longer than the test takes.
+    fn measure(&self) -> Process {
+        Process::start(self.site.connecting("simulate").args(["--live", "--duration", "600"]))
+    }
+
+    /// Waits for estimates in a higher term or epoch than this one, and returns theirs.
+    async fn after(&self, last: (u64, u64)) -> (u64, u64) {
+        let what = format!("estimates after term and epoch {last:?}");
+        within(&what, async {
+            loop {
+                let (_, block) = self.estimates.messages().recv_async().await.unwrap();
+                let found = (block.term(), block.header.epoch);
+                if found > last {
+                    return found;
+                }
+            }
+        })
+        .await
+    }
+
+    /// How many processes claim to lead the identification.
+    async fn leaders(&self) -> usize {
+        self.bus.ask_who_is_there(&self.site.keys().all_leaders(), DEADLINE).await.unwrap().len()
+    }
+
+    /// Names of the checkpoints of this kind, also of nodes.
+    fn checkpoints(&self, kind: &str) -> Vec<String> {
+        fn below(folder: &Path, found: &mut Vec<String>) {
+            for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
+                match entry.file_type().unwrap().is_dir() {
+                    true => below(&entry.path(), found),
+                    false => found.push(entry.file_name().into_string().unwrap()),
+                }
+            }
+        }
+        let mut found = Vec::new();
+        below(&self.site.folder().join("kept"), &mut found);
+        found.retain(|name| name.starts_with(kind) && name.ends_with(".checkpoint"));
+        found.sort();
+        found
+    }
+}
+
+/// What came of live sensors had no end: each hangup left a leader behind that nothing could stop but the end of the process, and the
+/// checkpoint of the end was not written.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_identification_beside_live_sensors_begins_anew_and_ends_in_order() {
+    for arguments in [&[][..], &["--standby"]] {
+        let beside = Beside::start(Site::with(&two_storeys("")), "ingest").await;
+        let identify = beside.service("identify", arguments);
+        let sensors = beside.measure();
+        let mut life = beside.after((0, 0)).await;
+        for _ in 0..2 {
+            identify.hang_up();
+            life = beside.after(life).await;
+            assert_eq!(beside.leaders().await, 1, "{arguments:?}: leaders after a hangup");
+        }
+        let before = beside.checkpoints("identify");
+        identify.stop().expect_code(0).expect_untold(&["did not finish in time"]);
+        assert_eq!(beside.leaders().await, 0, "{arguments:?}: leaders after the end");
+        assert_ne!(beside.checkpoints("identify"), before, "{arguments:?}: no checkpoint of the end");
+        sensors.stop().expect_code(0);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn station_and_nodes_beside_live_sensors_end_in_order() {
+    // messages of the nodes come faster than the station waits for the last one
+    let beside = Beside::start(Site::with(&distributed_storeys(12.5)), "alert").await;
+    let (station, workers) = (beside.service("fuse", &[]), beside.service("identify", &[]));
+    let sensors = beside.measure();
+    beside.after((0, 0)).await;
+    station.stop().expect_code(0).expect_untold(&["did not finish in time"]);
+    assert_eq!(beside.checkpoints("fuse").len(), 1, "the one of the end");
+    workers.stop().expect_code(0).expect_untold(&["did not finish in time"]);
+    assert_eq!(beside.checkpoints("node").len(), 4, "the one of the end of each");
+    sensors.stop().expect_code(0);
 }
 
 /// Checks that frames follow each other from time 0 on, at 100 Hz.

@@ -15,7 +15,7 @@ mod secured;
 mod sensors;
 mod site;
 
-pub use building::{five_storeys, storeys, two_storeys};
+pub use building::{distributed_storeys, five_storeys, storeys, two_storeys};
 pub use computers::{Computers, packaged_postgresql};
 pub use disk::SmallDisk;
 pub use drops::Drops;

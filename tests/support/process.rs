@@ -186,6 +186,16 @@ impl Finished {
         assert!(!stderr.contains("panicked"), "spandrel {command} panicked:\n{stderr}");
         self
     }
+
+    /// Checks that standard error has none of `parts`.
+    #[track_caller]
+    pub fn expect_untold(self, parts: &[&str]) -> Self {
+        let Self { command, stderr, .. } = &self;
+        for part in parts {
+            assert!(!stderr.contains(part), "spandrel {command}\n  not expected: {part}\n  found:\n{stderr}");
+        }
+        self
+    }
 }
 
 /// What a pipe of a child has said, read by a thread of its own.

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
-use spandrel_checkpoint::{CheckpointError, Checkpoints, Identity, Place, Remembering, fingerprint};
+use spandrel_checkpoint::{CheckpointError, Checkpoints, Failures, Identity, Place, Remembering, fingerprint};
 use spandrel_structure::Structure;
 use tokio::time::Instant;
 use tracing::{info, warn};
@@ -103,7 +103,7 @@ pub(crate) struct Memory {
     every: Duration,
     last: Instant,
     kept: Option<Place>,
-    failures: u64,
+    failures: Failures,
 }
 
 impl Memory {
@@ -116,7 +116,7 @@ impl Memory {
             every: remembering.every,
             last: Instant::now(),
             kept: None,
-            failures: 0,
+            failures: Failures::default(),
         })
     }
 
@@ -152,17 +152,26 @@ impl Memory {
         // Blocks the thread for the time of a write: called where the runtime knows.
         let kept = self.checkpoints.save(place, state).and_then(|()| self.checkpoints.forget_before(Some(place)));
         match kept {
-            Ok(()) => self.kept = Some(place),
+            Ok(()) => {
+                self.kept = Some(place);
+                if let Some(failures) = self.failures.succeeded() {
+                    info!(failures, "decisions are kept again");
+                }
+            }
             Err(error) => self.failed(&error),
         }
     }
 
-    /// Told each time the count has doubled.
     fn failed(&mut self, error: &CheckpointError) {
-        self.failures += 1;
-        if self.failures.is_power_of_two() {
-            warn!(%error, failures = self.failures, "decisions not kept: alerts may be put again after a crash");
+        if self.failures.failed() {
+            let failures = self.failures.in_a_row();
+            warn!(%error, failures, "decisions not kept: alerts may be put again after a crash");
         }
+    }
+
+    /// What could not be kept so far.
+    pub(crate) fn failures(&self) -> &Failures {
+        &self.failures
     }
 }
 

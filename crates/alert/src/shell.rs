@@ -152,19 +152,22 @@ impl AlertService {
             self.put_again().await?;
             loop {
                 tokio::select! {
-                    biased; // people first: estimates may come without a pause; stop last: what has arrived is still decided
+                    biased; // people first: estimates may come without a pause
                     Ok((key, acknowledgement)) = acknowledgements.recv_async() => {
                         self.acknowledge(&key, acknowledgement).await?;
                     }
                     Some(question) = self.questions.next() => self.answer(&question).await?,
                     _ = status.tick() => self.put_status().await?,
+                    () = &mut stop => break,
                     delivery = deliveries.recv_async() => match delivery {
-                        Ok(Delivery::Block(block)) => self.decide(&block).await?,
-                        Ok(Delivery::Gap(_)) => {} // logged by the stream; the watch sees it in the number of the next block
+                        Ok(delivery) => self.take(delivery).await?,
                         Err(flume::RecvError::Disconnected) => break,
                     },
-                    () = &mut stop => break,
                 }
+            }
+            // what has arrived by now is still decided, and not what an identification of another process goes on to put
+            for delivery in deliveries.drain() {
+                self.take(delivery).await?;
             }
             self.keep(Vec::new());
             if let Some(token) = self.token.take() {
@@ -218,6 +221,13 @@ impl AlertService {
             events: Vec::new(),
         };
         Ok(question.answer(&self.keys.alert_log(), &log).await?)
+    }
+
+    async fn take(&mut self, delivery: Delivery<EstimateBlock>) -> Result<(), AlertError> {
+        match delivery {
+            Delivery::Block(block) => self.decide(&block).await,
+            Delivery::Gap(_) => Ok(()), // logged by the stream; the watch sees it in the number of the next block
+        }
     }
 
     async fn decide(&mut self, block: &EstimateBlock) -> Result<(), AlertError> {
@@ -309,6 +319,7 @@ impl AlertService {
         let mut drops = self.estimates.counts().drops();
         let unread = self.acknowledgements.refused().into_iter();
         drops.extend(unread.map(|(reason, count)| (format!("acknowledgement-{reason}"), count)));
+        drops.extend(self.memory.as_ref().and_then(|memory| memory.failures().drops()));
         drops.extend(self.refused.iter().map(|(reason, count)| ((*reason).to_owned(), *count)));
         let status = Status {
             structure: self.keys.structure().clone(),

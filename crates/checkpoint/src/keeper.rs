@@ -1,36 +1,43 @@
 //! Keeps states in the background: a service waits for no disk while it works.
 
 use crate::error::CheckpointError;
+use crate::failures::Failures;
 use crate::series::{Checkpoints, Place};
 use serde::Serialize;
 use std::time::Duration;
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
-use tracing::warn;
+use tracing::{info, warn};
 
 /// Keeps the states of a service, one at a time, on a thread that may wait for the disk.
 ///
-/// A failure is told each time their count has doubled, and the next state is tried again.
+/// A failure is told as [`Failures`] are, and the next state is tried again.
 #[derive(Debug)]
 pub struct Keeper {
     checkpoints: Checkpoints,
     every: Duration,
     last: Instant,
     saving: Option<JoinHandle<Result<(), CheckpointError>>>,
-    failures: u64,
+    failures: Failures,
 }
 
 impl Keeper {
     /// Keeps states among these checkpoints, with so much time between two of them.
     #[must_use]
     pub fn new(checkpoints: Checkpoints, every: Duration) -> Self {
-        Self { checkpoints, every, last: Instant::now(), saving: None, failures: 0 }
+        Self { checkpoints, every, last: Instant::now(), saving: None, failures: Failures::default() }
     }
 
     /// The checkpoints.
     #[must_use]
     pub fn checkpoints(&self) -> &Checkpoints {
         &self.checkpoints
+    }
+
+    /// What could not be kept so far.
+    #[must_use]
+    pub fn failures(&self) -> &Failures {
+        &self.failures
     }
 
     /// Whether it is time for a state, and the one before it is on the disk.
@@ -56,11 +63,18 @@ impl Keeper {
         let Some(saving) = self.saving.take() else {
             return;
         };
-        if let Ok(Err(error)) = saving.await {
-            self.failures += 1;
-            if self.failures.is_power_of_two() {
-                warn!(%error, failures = self.failures, "checkpoint not kept: a crash now would cost more");
+        let why = match saving.await {
+            Ok(Ok(())) => {
+                if let Some(failures) = self.failures.succeeded() {
+                    info!(failures, "checkpoints are kept again");
+                }
+                return;
             }
+            Ok(Err(error)) => error.to_string(),
+            Err(error) => error.to_string(),
+        };
+        if self.failures.failed() {
+            warn!(error = why, failures = self.failures.in_a_row(), "checkpoint not kept: a crash now would cost more");
         }
     }
 }
@@ -113,7 +127,11 @@ mod tests {
         std::fs::create_dir(folder.path().join("below").join(format!("fuse-{:020}-{:020}.checkpoint", 1, 2))).unwrap();
         keeper.keep(at(2), 2_u64, None).await;
         keeper.finish().await;
-        assert_eq!(keeper.failures, 1);
+        assert_eq!(keeper.failures().in_a_row(), 1);
         assert_eq!(keeper.checkpoints().recall::<u64, _, CheckpointError>(Ok), Some((at(1), 1)));
+        keeper.keep(at(3), 1_u64, None).await;
+        keeper.finish().await;
+        assert_eq!(keeper.failures().in_a_row(), 0);
+        assert_eq!(keeper.failures().drops(), Some(("checkpoints-not-kept".to_owned(), 1)));
     }
 }

@@ -15,6 +15,7 @@
 //! - [`fingerprint`]: what a part of a state rests on, for services that judge its parts one by one
 //! - [`Place`]: an item of a numbered stream
 //! - [`Keeper`]: keeps states in the background, no more often than is asked for
+//! - [`Failures`]: those to keep a state, counted, and told without a flood
 //! - [`Remembering`]: where a service keeps them, and how often
 //!
 //! A file is written beside its place, forced to the disk and renamed, so that there is never half of one under a name that
@@ -24,10 +25,12 @@
 
 mod envelope;
 mod error;
+mod failures;
 mod keeper;
 mod series;
 
 pub use envelope::{Identity, fingerprint};
 pub use error::{CheckpointError, Refusal};
+pub use failures::Failures;
 pub use keeper::Keeper;
 pub use series::{Checkpoints, Loaded, Place, Remembering};

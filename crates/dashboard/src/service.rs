@@ -18,6 +18,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
+use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tracing::{info, warn};
 
@@ -132,17 +133,18 @@ impl DashboardService {
 
     fn run_until(mut self, stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), DashboardError>> {
         Box::pin(async move {
-            let serving = serve(self.door, router(self.server.clone()), self.server.stopped());
-            let mut serving = tokio::spawn(serving);
+            // a set, because it ends with this life: the next one serves at the same address
+            let mut browsers = JoinSet::new();
+            browsers.spawn(serve(self.door, router(self.server.clone()), self.server.stopped()));
             let listened = tokio::select! {
                 listened = listen(&mut self.sources, &self.server, &self.id) => listened,
-                served = &mut serving => return Err(broken(served)),
+                Some(served) = browsers.join_next() => return Err(broken(served)),
                 () = stop => Ok(()),
             };
             self.server.stop();
-            if tokio::time::timeout(END_WITHIN, &mut serving).await.is_err() {
-                // a browser that keeps its connection open must not keep the program
-                serving.abort();
+            if tokio::time::timeout(END_WITHIN, browsers.join_next()).await.is_err() {
+                // one that keeps its connection open must not keep the program
+                browsers.abort_all();
             }
             for source in self.sources {
                 source.token.withdraw().await?;

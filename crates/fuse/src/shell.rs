@@ -13,6 +13,7 @@ use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 use std::future::Future;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tokio::time::Instant;
 use tracing::{info, warn};
 
 /// Estimates kept for readers that missed some.
@@ -22,8 +23,9 @@ pub const ESTIMATES_KEPT: u64 = 4096;
 const TICK: Duration = Duration::from_millis(50);
 const TICKS_PER_STATUS: u32 = 20;
 
-/// After a stop, messages are waited for until none has come for this long.
+/// After a stop, messages are waited for until none has come for this long, and for so long in all: workers of other processes go on.
 const LAST_MESSAGES: Duration = Duration::from_millis(100);
+const LAST_MESSAGES_IN_ALL: Duration = Duration::from_secs(1);
 
 /// Messages of nodes that wait; when there are more, the oldest is lost.
 const MESSAGES_WAITING: usize = 1024;
@@ -137,7 +139,7 @@ impl FuseService {
         })
     }
 
-    /// Runs until `stop`; messages that have arrived are still fused.
+    /// Runs until `stop`; what has arrived by then is still fused, as far as it can be within a second.
     ///
     /// # Errors
     /// When the bus is closed underneath.
@@ -168,7 +170,10 @@ impl FuseService {
                     () = &mut stop => break,
                 }
             }
-            while let Ok(Ok((key, message))) = tokio::time::timeout(LAST_MESSAGES, messages.recv_async()).await {
+            let deadline = Instant::now() + LAST_MESSAGES_IN_ALL;
+            while Instant::now() < deadline
+                && let Ok(Ok((key, message))) = tokio::time::timeout(LAST_MESSAGES, messages.recv_async()).await
+            {
                 self.take(&key, message).await?;
             }
             self.keep().await;
@@ -271,6 +276,7 @@ impl FuseService {
         for (reason, count) in self.messages.refused() {
             *drops.entry(format!("refused-{reason}")).or_default() += count;
         }
+        drops.extend(self.keeper.as_ref().and_then(|keeper| keeper.failures().drops()));
         let status = Status {
             structure: self.keys.structure().clone(),
             service: self.service.clone(),

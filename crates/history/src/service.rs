@@ -13,6 +13,7 @@ use spandrel_bus::{
 use spandrel_structure::Structure;
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
+use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -179,18 +180,20 @@ impl HistoryService {
     fn run_until(mut self, stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), HistoryError>> {
         Box::pin(async move {
             let (stopped, stopping) = watch::channel(false);
-            let mut writing =
-                tokio::spawn(write(self.database.clone(), self.waiting.clone(), self.life.clone(), stopping));
+            let mut writing = JoinSet::new();
+            writing.spawn(write(self.database.clone(), self.waiting.clone(), self.life.clone(), stopping));
             let mut number = 0;
             let listened = tokio::select! {
                 listened = self.gather(&mut number) => listened,
+                never = share_panic_of(&mut writing) => never,
                 () = stop => Ok(()),
             };
             self.take();
             self.pass_on(&mut number);
             stopped.send_replace(true);
-            if tokio::time::timeout(END_WITHIN, &mut writing).await.is_err() {
-                writing.abort();
+            let written = tokio::time::timeout(END_WITHIN, writing.join_next()).await;
+            if !matches!(written, Ok(Some(Ok(())))) {
+                writing.abort_all();
                 warn!(
                     rows = self.waiting.backlog().rows(),
                     "the database does not take the last values, they are lost"
@@ -224,6 +227,7 @@ impl HistoryService {
                     pruning.spawn(forget_old(self.database.clone(), self.newest(), self.keep.clone()));
                 },
                 Some(_) = pruning.join_next() => {}
+                never = share_panic_of(&mut self.answering) => return never,
             }
         }
     }
@@ -361,7 +365,7 @@ impl Source {
 
 /// Writes what waits, oldest first, until there is nothing more and all is stopped.
 async fn write(database: Database, waiting: Arc<Waiting>, life: String, mut stopping: watch::Receiver<bool>) {
-    let mut retry_after = RETRY_AFTER.0;
+    let (mut retry_after, mut in_a_row) = (RETRY_AFTER.0, 0_u64);
     loop {
         let batches: Vec<Arc<Batch>> = waiting.backlog().oldest(ROWS_AT_ONCE);
         let Some(last) = batches.last().map(|batch| batch.number) else {
@@ -378,14 +382,15 @@ async fn write(database: Database, waiting: Arc<Waiting>, life: String, mut stop
         match database.write(&life, &batches).await {
             Ok(()) => {
                 waiting.backlog().written(last);
-                if retry_after > RETRY_AFTER.0 {
-                    info!("the database of the history takes what is written again");
+                if in_a_row > 0 {
+                    info!(failures = in_a_row, "the database of the history takes what is written again");
                 }
-                retry_after = RETRY_AFTER.0;
+                (retry_after, in_a_row) = (RETRY_AFTER.0, 0);
             }
             Err(error) => {
-                let failures = waiting.failures.fetch_add(1, Ordering::Relaxed) + 1;
-                if failures.is_power_of_two() {
+                waiting.failures.fetch_add(1, Ordering::Relaxed);
+                in_a_row += 1;
+                if in_a_row.is_power_of_two() {
                     let rows = waiting.backlog().rows();
                     warn!(%error, reason = reason(&error), rows_waiting = rows, "history not written, it is tried again");
                 }
@@ -394,6 +399,18 @@ async fn write(database: Database, waiting: Arc<Waiting>, life: String, mut stop
             }
         }
     }
+}
+
+/// Panics when one of the tasks does, so that all of it begins anew: nobody would do any more what that task did. Never ends otherwise.
+async fn share_panic_of<T>(tasks: &mut JoinSet<()>) -> T {
+    while let Some(ended) = tasks.join_next().await {
+        if let Err(error) = ended
+            && let Ok(panic) = error.try_into_panic()
+        {
+            resume_unwind(panic);
+        }
+    }
+    std::future::pending().await
 }
 
 async fn forget_old(database: Database, newest: Vec<(String, i64)>, keep: Keep) {
@@ -522,6 +539,16 @@ fn now_ns() -> i64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Who wrote was gone then, and the history went on without a word.
+    #[tokio::test]
+    async fn a_service_whose_task_panics_does_not_go_on_without_it() {
+        let mut tasks = JoinSet::new();
+        tasks.spawn(async {});
+        tasks.spawn(async { assert_eq!(1, 2, "as it should") });
+        let ended = tokio::spawn(async move { share_panic_of::<()>(&mut tasks).await }).await;
+        assert!(ended.is_err_and(|error| error.is_panic()));
+    }
 
     #[test]
     fn a_name_that_the_structure_file_does_not_have_is_refused_with_those_that_it_has() {

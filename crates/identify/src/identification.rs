@@ -12,7 +12,7 @@ use crate::screening::ScreeningView;
 use hearing::Hearing;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
-    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FrameBlock, Header, ModelClassDisplay, Name,
+    Block, Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FrameBlock, Header, ModelClassDisplay, Name,
     NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, StreamState, TimeGrid,
 };
 use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, Step};
@@ -28,6 +28,10 @@ const STUCK_SAMPLES: u64 = 50;
 
 /// Longest estimate block that one input makes: what comes of a long gap is cut.
 const LONGEST_BLOCK: usize = 4096;
+
+/// Most bytes of an estimate block, unless one estimate has more: with its covariance one of forty parameters has 7 kB, and a thousand of them
+/// would be more than a message may have.
+const MOST_BYTES: usize = 1 << 20;
 
 /// Of so many values for people one is shown where they are thinned.
 const THINNED: u32 = 10;
@@ -499,7 +503,7 @@ impl Identification {
         if !self.responded.is_empty() {
             outputs.push(Output::Responses(std::mem::take(&mut self.responded)));
         }
-        outputs.push(Output::Estimates(EstimateBlock {
+        let mut block = EstimateBlock {
             header: Header { source: self.source.clone(), epoch: stream.epoch, sequence: first, time_ns },
             term: 0,
             t0_ns: stream.t0_ns,
@@ -507,9 +511,20 @@ impl Identification {
             parameters: self.parameter_views.len() as u16,
             noise_parameters: self.noise_names.len() as u16,
             channels: self.observations.len() as u16,
-            estimates,
-            state,
-        }));
+            estimates: Vec::new(),
+            state: StreamState::Running,
+        };
+        let most = (MOST_BYTES / block.item_bytes()).max(1);
+        let mut estimates = estimates;
+        while estimates.len() > most {
+            let rest = estimates.split_off(most);
+            let mut next = block.clone();
+            block.estimates = std::mem::replace(&mut estimates, rest);
+            next.header.sequence = block.end();
+            next.header.time_ns = block.grid().map_or(stream.t0_ns, |grid| grid.time_ns(next.header.sequence));
+            outputs.push(Output::Estimates(std::mem::replace(&mut block, next)));
+        }
+        outputs.push(Output::Estimates(EstimateBlock { estimates, state, ..block }));
     }
 
     /// How many messages [`Self::display`] makes.

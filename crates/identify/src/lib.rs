@@ -10,6 +10,7 @@
 //! - [`node_shell`]: joins such a node to the bus
 //! - [`pool`]: the threads that filters run on
 //! - [`shell`]: joins the identification of a structure to the bus
+//! - [`SetAside`]: samples that the worker of a node has died of
 //! - [`Precedence`]: whether it leads or stands by where several processes identify one structure
 //!
 //! For a recording without a bus, drive the core directly, as `spandrel estimate` does.
@@ -25,9 +26,11 @@ mod model_classes;
 pub mod node;
 mod node_screening;
 pub mod node_shell;
+mod pieces;
 pub mod pool;
 mod screening;
 mod seat;
+mod set_aside;
 pub mod shell;
 mod trouble;
 
@@ -38,4 +41,5 @@ pub use node::{NodeIdentification, NodeInput, NodeOutput, NodeState};
 pub use node_shell::NodeService;
 pub use pool::FilterPool;
 pub use seat::Precedence;
+pub use set_aside::SetAside;
 pub use shell::{ESTIMATES_KEPT, IdentifyService, log_event};

@@ -3,7 +3,7 @@
 use crate::error::IdentifyError;
 use crate::identification::{Identification, IdentificationState};
 use spandrel_bus::{Progress, ProgressWatch};
-use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Loaded, Place, Remembering};
+use spandrel_checkpoint::{Checkpoints, Failures, Identity, Keeper, Loaded, Place, Remembering};
 use spandrel_structure::Structure;
 use tokio::task::block_in_place;
 use tracing::{info, warn};
@@ -101,6 +101,11 @@ impl Memory {
     ) -> Result<Identification, IdentifyError> {
         self.keeper.finish().await;
         self.restore(new, Checkpoints::load_latest)
+    }
+
+    /// What could not be kept so far.
+    pub(crate) fn failures(&self) -> &Failures {
+        self.keeper.failures()
     }
 
     /// Keeps the state when it is time to.

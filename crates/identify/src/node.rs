@@ -28,6 +28,10 @@ const BRIDGED_GAP_S: f64 = 10.0;
 /// that times which jitter half-way between two places do not go to and fro.
 const OFF_ITS_PLACE: f64 = 0.75;
 
+/// Number of a sample of which the worker dies: how that goes on is tested.
+#[cfg(test)]
+pub(crate) static POISONED: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(u64::MAX);
+
 /// What the core reacts to.
 #[derive(Debug, Clone, PartialEq)]
 pub enum NodeInput {
@@ -238,6 +242,12 @@ impl NodeIdentification {
         let count = (block.samples.len() / channels.max(1)) as u64;
         for number in 0..count {
             let start = number as usize * channels;
+            #[cfg(test)]
+            assert_ne!(
+                block.header.sequence + number,
+                POISONED.load(std::sync::atomic::Ordering::Relaxed),
+                "as it should"
+            );
             self.take_sample(&block.samples[start..start + channels]);
             if let Some(stream) = &mut self.stream {
                 stream.last_ns = grid.time_ns(number);

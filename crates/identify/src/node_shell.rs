@@ -2,24 +2,28 @@
 
 use crate::error::IdentifyError;
 use crate::node::{NodeIdentification, NodeInput, NodeOutput, NodeState};
+use crate::pieces::Pieces;
 use crate::pool::FilterPool;
+use crate::set_aside::{SetAside, Span};
 use crate::shell::log_event;
 use spandrel_bus::{
-    Block, BoxedFuture, Bus, Delivery, DisplayPublisher, Event, FeedbackMessage, Keys, LiveToken, LocalMessage, Name,
-    Pace, SampleBlock, Service, Start, Status, Stream, Subscription,
+    Block, BoxedFuture, Bus, Delivery, DisplayPublisher, Event, EventKind, FeedbackMessage, Keys, LiveToken,
+    LocalMessage, Name, Pace, SampleBlock, Service, Start, Status, Subscription,
 };
 use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 use std::future::Future;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tokio::time::Instant;
 use tracing::{debug, info, warn};
 
 /// How often the status is put.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
 
-/// After a stop, samples are waited for until none has come for this long.
+/// After a stop, samples are waited for until none has come for this long, and for so long in all: live sensors go on.
 const LAST_SAMPLES: Duration = Duration::from_millis(100);
+const LAST_SAMPLES_IN_ALL: Duration = Duration::from_secs(1);
 
 /// Replayed samples wait so long for an answer of the station.
 const ANSWER_WITHIN: Duration = Duration::from_secs(10);
@@ -35,7 +39,7 @@ const ANSWERS_WAITING: usize = 4;
 pub struct NodeService {
     core: Option<NodeIdentification>,
     pool: FilterPool,
-    samples: Stream<SampleBlock>,
+    samples: Pieces<SampleBlock>,
     bus: Bus,
     buffer_key: String,
     keeper: Option<Keeper>,
@@ -43,6 +47,9 @@ pub struct NodeService {
     goes_on: bool,
     /// epoch and number of the first live sample that was measured in this life; none before there was one
     begins_at: Option<(u64, u64)>,
+    set_aside: SetAside,
+    /// the last samples that the filter was given
+    at_work: Option<Span>,
     feedback: Subscription<FeedbackMessage>,
     local: DisplayPublisher<LocalMessage>,
     events: DisplayPublisher<Event>,
@@ -80,12 +87,14 @@ impl NodeService {
                 bus.reading(position.map_or(Start::Beginning, |(epoch, sequence)| Start::At { epoch, sequence }));
             let samples = bus.follow(keys.samples(&node), keys.buffer(&node), settings).await?;
             let service = Self {
-                samples,
+                samples: Pieces::of(samples),
                 bus: bus.clone(),
                 buffer_key: keys.buffer(&node),
                 keeper,
                 goes_on: position.is_some(),
                 begins_at: None,
+                set_aside: SetAside::default(),
+                at_work: None,
                 pool,
                 feedback: bus.subscribe(keys.feedback(&node), ANSWERS_WAITING).await?,
                 local: bus.publish_display(keys.local(&node)).await?,
@@ -102,10 +111,16 @@ impl NodeService {
         })
     }
 
-    /// Runs until `stop`; samples that have arrived are still done.
+    /// Leaves samples out that earlier lives have died of, and adds those that this one dies of.
+    #[must_use]
+    pub fn without(self, set_aside: SetAside) -> Self {
+        Self { set_aside, ..self }
+    }
+
+    /// Runs until `stop`; what has arrived by then is still done, as far as it can be within a second.
     ///
     /// # Errors
-    /// When the bus is closed underneath, or the thread of a filter was lost.
+    /// When the bus is closed underneath, or the filter has panicked: another life goes on [without](Self::without) what it had at work.
     pub fn run<'a>(self, stop: impl Future<Output = ()> + Send + 'a) -> BoxedFuture<'a, Result<(), IdentifyError>> {
         self.run_until(Box::pin(stop))
     }
@@ -113,7 +128,6 @@ impl NodeService {
     fn run_until(mut self, mut stop: BoxedFuture<'_, ()>) -> BoxedFuture<'_, Result<(), IdentifyError>> {
         Box::pin(async move {
             let mut status = tokio::time::interval(STATUS_EVERY);
-            let deliveries = self.samples.deliveries().clone();
             let answers = self.feedback.messages().clone();
             loop {
                 let waits = self.core.as_ref().is_some_and(|core| core.awaits().is_some());
@@ -122,9 +136,9 @@ impl NodeService {
                         Ok((_, feedback)) => self.take(NodeInput::Feedback(feedback)).await?,
                         Err(flume::RecvError::Disconnected) => break,
                     },
-                    delivery = deliveries.recv_async(), if !waits => match delivery {
-                        Ok(delivery) => self.take_delivery(delivery).await?,
-                        Err(flume::RecvError::Disconnected) => break,
+                    delivery = self.samples.next(), if !waits => match delivery {
+                        Some(delivery) => self.take_delivery(delivery).await?,
+                        None => break,
                     },
                     () = tokio::time::sleep(ANSWER_WITHIN), if waits => {
                         let (structure, node) = (self.structure.as_str(), self.node.as_str());
@@ -135,7 +149,10 @@ impl NodeService {
                     () = &mut stop => break,
                 }
             }
-            while let Ok(Ok(delivery)) = tokio::time::timeout(LAST_SAMPLES, deliveries.recv_async()).await {
+            let deadline = Instant::now() + LAST_SAMPLES_IN_ALL;
+            while Instant::now() < deadline
+                && let Ok(Some(delivery)) = tokio::time::timeout(LAST_SAMPLES, self.samples.next()).await
+            {
                 self.take_delivery(delivery).await?;
                 self.take(NodeInput::NoAnswer).await?;
             }
@@ -151,18 +168,25 @@ impl NodeService {
     }
 
     async fn take_delivery(&mut self, delivery: Delivery<SampleBlock>) -> Result<(), IdentifyError> {
-        match delivery {
-            Delivery::Block(block) if self.was_before(&block).await => match self.goes_on {
-                true => self.take(NodeInput::Past(block)).await,
-                false => Ok(()),
-            },
-            Delivery::Block(block) => self.take(NodeInput::Samples(block)).await,
+        let block = match delivery {
+            Delivery::Block(block) => block,
             // the next block tells by its time how much is missing
             Delivery::Gap(gap) => {
                 debug!(node = self.node.as_str(), from = gap.from, to = gap.to, "samples lost");
-                Ok(())
+                return Ok(());
             }
+        };
+        for block in self.set_aside.cut(block) {
+            let span = (block.header.epoch, block.header.sequence, block.end());
+            let input = match (self.was_before(&block).await, self.goes_on) {
+                (true, false) => continue,
+                (true, true) => NodeInput::Past(block),
+                (false, _) => NodeInput::Samples(block),
+            };
+            self.at_work = Some(span);
+            self.take(input).await?;
         }
+        Ok(())
     }
 
     /// Whether live samples were measured before this worker was there: the station may have learnt from them by an earlier one, and
@@ -191,7 +215,7 @@ impl NodeService {
             (core, outputs)
         });
         let Some((core, outputs)) = work.await else {
-            return Err(IdentifyError::ThreadLost { structure: self.structure.to_string() });
+            return self.die().await;
         };
         self.core = Some(core);
         for output in outputs {
@@ -209,6 +233,24 @@ impl NodeService {
         Ok(())
     }
 
+    /// The filter has panicked: the samples that it had at work are left out by the next life of the worker.
+    async fn die(&mut self) -> Result<(), IdentifyError> {
+        if let Some((epoch, from, to)) = self.at_work.take() {
+            self.set_aside.add((epoch, from, to));
+            let event = Event {
+                structure: self.structure.clone(),
+                time_ns: now_ns(),
+                kind: EventKind::Restart,
+                subject: self.node.to_string(),
+                what: format!("samples {from} to {} are set aside: they count as missing", to.saturating_sub(1)),
+                why: "the filter of the node has panicked in them".to_owned(),
+            };
+            log_event(&event, None);
+            self.events.put(&event).await?;
+        }
+        Err(IdentifyError::ThreadLost { structure: self.structure.to_string() })
+    }
+
     /// Keeps what is known, once there was a sample.
     async fn keep(&mut self) {
         let Some((keeper, core)) = self.keeper.as_mut().zip(self.core.as_ref()) else { return };
@@ -218,14 +260,16 @@ impl NodeService {
     }
 
     async fn put_status(&self) -> Result<(), IdentifyError> {
-        #[expect(clippy::disallowed_methods, reason = "the status tells the lag behind the wall clock")]
-        let now = SystemTime::now();
-        let now_ns = now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64);
+        let now_ns = now_ns();
         let mut drops: BTreeMap<String, u64> = self.samples.counts().drops();
         let core = self.core.as_ref();
         for (reason, count) in core.into_iter().flat_map(NodeIdentification::dropped) {
             *drops.entry((*reason).to_owned()).or_default() += count;
         }
+        if self.set_aside.samples() > 0 {
+            drops.insert("samples-set-aside".to_owned(), self.set_aside.samples());
+        }
+        drops.extend(self.keeper.as_ref().and_then(|keeper| keeper.failures().drops()));
         let status = Status {
             structure: self.structure.clone(),
             service: self.service.clone(),
@@ -238,11 +282,20 @@ impl NodeService {
             state: None,
             done: core.map_or(0, NodeIdentification::done),
             drops,
-            restarts: core.map_or(0, NodeIdentification::restarts),
+            restarts: core.map_or(0, NodeIdentification::restarts) + self.set_aside.deaths(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
         Ok(self.status.put(&status).await?)
     }
+}
+
+fn now_ns() -> i64 {
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "the status tells the lag behind the wall clock, an event when it was"
+    )]
+    let now = SystemTime::now();
+    now.duration_since(UNIX_EPOCH).map_or(0, |elapsed| elapsed.as_nanos() as i64)
 }
 
 /// Has the worker go on from its last checkpoint, if there is one that may be read; returns what keeps the next ones. Nodes of one state
@@ -266,3 +319,6 @@ fn recall(
     }
     Ok(Keeper::new(checkpoints, remembering.every))
 }
+
+#[cfg(test)]
+mod tests;

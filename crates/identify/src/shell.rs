@@ -5,12 +5,13 @@ use crate::error::IdentifyError;
 use crate::identification::{Identification, Input, Output};
 use crate::load::LoadState;
 use crate::memory::Memory;
+use crate::pieces::Pieces;
 use crate::pool::FilterPool;
 use crate::seat::{Precedence, Seat, StandingBy};
 use crate::trouble::Trouble;
 use spandrel_bus::{
     Block, BoxedFuture, Bus, BusError, Claims, Delivery, DisplayPublisher, Event, EventKind, FrameBlock, Keys,
-    LiveToken, LiveWatch, Load, Name, Pace, ProgressWatch, Service, Start, Status, Stream, StreamState, Subscription,
+    LiveToken, LiveWatch, Load, Name, Pace, ProgressWatch, Service, Start, Status, StreamState, Subscription,
 };
 use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
@@ -30,11 +31,9 @@ const STATUS_EVERY: Duration = Duration::from_secs(1);
 /// Statuses of ingest that wait to be read: the last one counts.
 const STATUSES_WAITING: usize = 4;
 
-/// Panics of one identification after which the service gives up: they are no longer single frames.
-const MOST_DEATHS: u64 = 100;
-
-/// After a stop, frames are waited for until none has come for this long.
+/// After a stop, frames are waited for until none has come for this long, and for so long in all: an ingest of another process goes on.
 const LAST_FRAMES: Duration = Duration::from_millis(100);
+const LAST_FRAMES_IN_ALL: Duration = Duration::from_secs(1);
 
 /// The identification service of one structure.
 #[derive(Debug)]
@@ -46,7 +45,7 @@ pub struct IdentifyService {
     pool: FilterPool,
     trouble: Trouble,
     /// none while joining
-    frames: Option<Stream<FrameBlock>>,
+    frames: Option<Pieces<FrameBlock>>,
     seat: Seat,
     claims: Claims,
     /// who delivers frames: where nobody does there is nothing to lead
@@ -156,7 +155,8 @@ impl IdentifyService {
         })
     }
 
-    /// Runs until `stop`; blocks that have arrived are still done.
+    /// Runs until `stop`; what has arrived by then is still done, as far as it can be within a second. The rest comes again at the
+    /// next start.
     ///
     /// # Errors
     /// When the bus is closed underneath, or the thread of a filter was lost.
@@ -170,7 +170,7 @@ impl IdentifyService {
             loop {
                 // Not biased: at full speed frames never stop, and status and stop must still get their turn.
                 tokio::select! {
-                    delivery = next(self.frames.as_ref()) => match delivery {
+                    delivery = next(self.frames.as_mut()) => match delivery {
                         Some(delivery) => self.take(delivery).await?,
                         None => break,
                     },
@@ -186,8 +186,11 @@ impl IdentifyService {
                     () = &mut stop => break,
                 }
             }
-            // Ingest has stopped before: what it put last may still be on its way through the reader.
-            while let Ok(Some(delivery)) = tokio::time::timeout(LAST_FRAMES, next(self.frames.as_ref())).await {
+            // An ingest of this process has stopped before: what it put last may still be on its way through the reader.
+            let deadline = Instant::now() + LAST_FRAMES_IN_ALL;
+            while Instant::now() < deadline
+                && let Ok(Some(delivery)) = tokio::time::timeout(LAST_FRAMES, next(self.frames.as_mut())).await
+            {
                 self.take(delivery).await?;
             }
             if let (Some(memory), Some(core)) = (self.memory.take(), &self.core) {
@@ -271,8 +274,8 @@ impl IdentifyService {
     /// The identification has panicked in frames `from` to before `to`: goes back to its last checkpoint, and over the same frames
     /// again. All other structures are not touched. One that stands by takes the state of the one that leads instead.
     async fn revive(&mut self, from: u64, to: u64) -> Result<(), IdentifyError> {
-        let set_aside = self.trouble.died(self.epoch, from, to);
-        if self.trouble.deaths() > MOST_DEATHS {
+        let set_aside = self.trouble.died(Instant::now(), self.epoch, from, to);
+        if self.trouble.is_hopeless() {
             return Err(IdentifyError::ThreadLost { structure: self.keys.structure().to_string() });
         }
         if self.is_in_step() {
@@ -346,6 +349,7 @@ impl IdentifyService {
         if self.shed > 0 {
             drops.insert("shed-values".to_owned(), self.shed);
         }
+        drops.extend(self.memory.as_ref().and_then(|memory| memory.failures().drops()));
         let status = Status {
             structure: self.keys.structure().clone(),
             service: self.service.clone(),
@@ -373,9 +377,9 @@ fn now_ns() -> u64 {
 }
 
 /// Waits for the next frames; for ever where none are read.
-async fn next(frames: Option<&Stream<FrameBlock>>) -> Option<Delivery<FrameBlock>> {
+async fn next(frames: Option<&mut Pieces<FrameBlock>>) -> Option<Delivery<FrameBlock>> {
     match frames {
-        Some(frames) => frames.deliveries().recv_async().await.ok(),
+        Some(frames) => frames.next().await,
         None => std::future::pending().await,
     }
 }
@@ -394,14 +398,15 @@ async fn follow_frames(
     bus: &Bus,
     keys: &Keys,
     start: Start,
-) -> Result<Stream<FrameBlock>, BusError> {
+) -> Result<Pieces<FrameBlock>, BusError> {
     let (channels, rate_hz) = (structure.channel_count(), structure.sampling_rate_hz());
     let is_of_structure =
         move |block: &FrameBlock| match usize::from(block.channels) == channels && block.sampling_rate_hz == rate_hz {
             true => Ok(()),
             false => Err("frames-of-another-structure"),
         };
-    bus.follow_fit(keys.frames(), keys.recording(), bus.reading(start).patient(), is_of_structure).await
+    let reading = bus.reading(start).patient();
+    Ok(Pieces::of(bus.follow_fit(keys.frames(), keys.recording(), reading, is_of_structure).await?))
 }
 
 /// Logs an event: what was mended or lost as a warning, what belongs to normal work as information.

@@ -2,7 +2,13 @@
 
 use crate::identification::Input;
 use spandrel_bus::Block;
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Deaths within [`DEATHS_WITHIN`] after which they are no longer those of single frames.
+const MOST_DEATHS: usize = 100;
+const DEATHS_WITHIN: Duration = Duration::from_secs(3600);
 
 /// What is known of such frames.
 ///
@@ -15,6 +21,8 @@ pub(crate) struct Trouble {
     /// epoch and number
     set_aside: BTreeSet<(u64, u64)>,
     deaths: u64,
+    /// those within [`DEATHS_WITHIN`], oldest first
+    recent: VecDeque<Instant>,
 }
 
 impl Trouble {
@@ -53,10 +61,14 @@ impl Trouble {
         parts
     }
 
-    /// Notes that the identification has died of frames `from` to before `to` of an epoch; returns the frame that is set aside
+    /// Notes that the identification has died now of frames `from` to before `to` of an epoch; returns the frame that is set aside
     /// from now on, if it is known.
-    pub(crate) fn died(&mut self, epoch: u64, from: u64, to: u64) -> Option<u64> {
+    pub(crate) fn died(&mut self, now: Instant, epoch: u64, from: u64, to: u64) -> Option<u64> {
         self.deaths += 1;
+        self.recent.push_back(now);
+        while self.recent.front().is_some_and(|earlier| now.duration_since(*earlier) > DEATHS_WITHIN) {
+            self.recent.pop_front();
+        }
         if to.saturating_sub(from) > 1 {
             self.suspect = Some((epoch, from, to));
             return None;
@@ -68,6 +80,11 @@ impl Trouble {
     /// Returns how often it has died.
     pub(crate) fn deaths(&self) -> u64 {
         self.deaths
+    }
+
+    /// Whether it has died too often of late to go on.
+    pub(crate) fn is_hopeless(&self) -> bool {
+        self.recent.len() > MOST_DEATHS
     }
 
     /// Returns how many frames are set aside.
@@ -105,9 +122,9 @@ mod tests {
     fn a_frame_that_kills_twice_is_found_and_set_aside() {
         let mut trouble = Trouble::default();
         assert_eq!(parts(&trouble, block(0, 9)), [(0, 9)]);
-        assert_eq!(trouble.died(7, 3, 6), None);
+        assert_eq!(trouble.died(Instant::now(), 7, 3, 6), None);
         assert_eq!(parts(&trouble, block(0, 9)), [(0, 3), (3, 4), (4, 5), (5, 6), (6, 9)]);
-        assert_eq!(trouble.died(7, 4, 5), Some(4));
+        assert_eq!(trouble.died(Instant::now(), 7, 4, 5), Some(4));
         assert_eq!(parts(&trouble, block(0, 9)), [(0, 3), (3, 4), (-4, -5), (5, 6), (6, 9)]);
         assert_eq!((trouble.deaths(), trouble.set_aside()), (2, 1));
         assert_eq!(parts(&trouble, block(9, 3)), [(9, 12)]);
@@ -116,9 +133,22 @@ mod tests {
     }
 
     #[test]
+    fn deaths_that_are_long_ago_do_not_count_against_it() {
+        let (mut trouble, mut now) = (Trouble::default(), Instant::now());
+        for frame in 0..3 * MOST_DEATHS as u64 {
+            now += DEATHS_WITHIN / (MOST_DEATHS as u32 - 1);
+            trouble.died(now, 7, frame, frame + 1);
+            assert!(!trouble.is_hopeless(), "death {frame}");
+        }
+        trouble.died(now, 7, 1000, 1001);
+        assert!(trouble.is_hopeless(), "one more than may be within an hour");
+        assert_eq!(trouble.deaths(), 3 * MOST_DEATHS as u64 + 1);
+    }
+
+    #[test]
     fn a_block_of_one_frame_is_known_at_once_and_the_end_is_not_lost() {
         let mut trouble = Trouble::default();
-        assert_eq!(trouble.died(7, 8, 9), Some(8));
+        assert_eq!(trouble.died(Instant::now(), 7, 8, 9), Some(8));
         let last = FrameBlock { state: StreamState::Ended, ..block(8, 1) };
         assert_eq!(parts(&trouble, last), [(-8, -9), (9, 9)]);
     }

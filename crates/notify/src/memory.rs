@@ -4,7 +4,7 @@ use crate::error::NotifyError;
 use crate::outbox::Remembered;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::Name;
-use spandrel_checkpoint::{CheckpointError, Checkpoints, Identity, Place};
+use spandrel_checkpoint::{CheckpointError, Checkpoints, Failures, Identity, Place};
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tracing::{info, warn};
@@ -24,7 +24,7 @@ struct State {
 pub(crate) struct Memory {
     checkpoints: Checkpoints,
     next: Place,
-    failures: u64,
+    failures: Failures,
 }
 
 impl Memory {
@@ -34,7 +34,7 @@ impl Memory {
         let checkpoints = Checkpoints::open(folder, identity)?;
         let found = checkpoints.load_latest::<State>().found;
         let last = found.as_ref().map_or(0, |(place, _)| place.sequence);
-        let memory = Self { checkpoints, next: Place { epoch: 0, sequence: last + 1 }, failures: 0 };
+        let memory = Self { checkpoints, next: Place { epoch: 0, sequence: last + 1 }, failures: Failures::default() };
         let recalled = found.map(|(_, State { written_s, notices })| {
             info!(structure = structure.as_str(), waiting = notices.waiting(), "goes on from its checkpoint");
             (notices, Duration::from_secs(unix_s().saturating_sub(written_s)))
@@ -49,17 +49,26 @@ impl Memory {
         let state = State { written_s: unix_s(), notices };
         let kept = self.checkpoints.save(self.next, &state).and_then(|()| self.checkpoints.forget_before(None));
         match kept {
-            Ok(()) => self.next.sequence += 1,
+            Ok(()) => {
+                self.next.sequence += 1;
+                if let Some(failures) = self.failures.succeeded() {
+                    info!(failures, "notices are kept again");
+                }
+            }
             Err(error) => self.failed(&error),
         }
     }
 
-    /// Told each time the count has doubled.
     fn failed(&mut self, error: &CheckpointError) {
-        self.failures += 1;
-        if self.failures.is_power_of_two() {
-            warn!(%error, failures = self.failures, "notices not kept: after a crash some may be missing, or come twice");
+        if self.failures.failed() {
+            let failures = self.failures.in_a_row();
+            warn!(%error, failures, "notices not kept: after a crash some may be missing, or come twice");
         }
+    }
+
+    /// What could not be kept so far.
+    pub(crate) fn failures(&self) -> &Failures {
+        &self.failures
     }
 }
 

@@ -272,7 +272,8 @@ impl NotifyService {
                 source.alerts.refused().into_iter().map(|(reason, count)| (format!("refused-{reason}"), count));
             let counts =
                 counts.iter().filter(|(_, count)| *count > 0).map(|(name, count)| ((*name).to_owned(), *count));
-            let drops: BTreeMap<String, u64> = refused.chain(counts).collect();
+            let unkept = source.memory.as_ref().and_then(|memory| memory.failures().drops());
+            let drops: BTreeMap<String, u64> = refused.chain(counts).chain(unkept).collect();
             let status = Status {
                 structure: source.keys.structure().clone(),
                 service: self.service.clone(),

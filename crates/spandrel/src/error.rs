@@ -333,6 +333,11 @@ impl AppError {
         }
     }
 
+    /// Whether a service has ended by a panic, after which another life of it may go better.
+    pub fn is_of_a_panic(&self) -> bool {
+        matches!(self, Self::Panicked { .. } | Self::Identify(IdentifyError::ThreadLost { .. }))
+    }
+
     /// The error and its causes, for a person.
     pub fn report(&self) -> String {
         let mut text = format!("error: {self}\n");

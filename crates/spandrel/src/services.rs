@@ -5,17 +5,18 @@ use crate::settings::Settings;
 use crate::state::State;
 use crate::supervision::supervise;
 use spandrel_alert::{AlertService, Baseline};
-use spandrel_bus::{Bus, Keys, Name};
-use spandrel_dashboard::{DashboardService, PageSettings};
+use spandrel_bus::{BoxedFuture, Bus, Keys, Name};
+use spandrel_dashboard::{DashboardService, Listen, PageSettings};
 use spandrel_fuse::FuseService;
 use spandrel_history::{Address, HistoryService, Keep};
-use spandrel_identify::{FilterPool, IdentifyService, NodeService, Precedence};
+use spandrel_identify::{FilterPool, IdentifyService, NodeService, Precedence, SetAside};
 use spandrel_ingest::{IngestService, IngestSettings, Waiting};
 use spandrel_notify::{NotifyService, NotifySettings};
 use spandrel_structure::{Reference, Structure};
 use std::net::SocketAddr;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{oneshot, watch};
@@ -137,6 +138,12 @@ pub struct Running {
     pool: Option<FilterPool>,
 }
 
+/// Ends when a service is to stop.
+type Stop = BoxedFuture<'static, ()>;
+
+/// Runs a service until it is to stop.
+type Run<S, E> = fn(S, Stop) -> BoxedFuture<'static, Result<(), E>>;
+
 /// Ends when the word is to stop.
 async fn stopped(mut stop: watch::Receiver<bool>) {
     // a sender that is gone stops as well
@@ -156,9 +163,45 @@ impl Stage {
         Self { name, tasks: JoinSet::new(), stop: watch::Sender::new(false) }
     }
 
-    /// A future that ends when the stage is told to stop.
-    fn stopped(&self) -> impl Future<Output = ()> + Send + 'static {
-        stopped(self.stop.subscribe())
+    /// Starts a service of this stage, and starts it anew after a panic; `of` names what it is the service of.
+    async fn start<S, E, Starting>(
+        &mut self,
+        of: String,
+        start: impl Fn() -> Starting + Send + 'static,
+        run: Run<S, E>,
+    ) -> Result<(), AppError>
+    where
+        Starting: Future<Output = Result<S, E>> + Send + 'static,
+        S: Send + 'static,
+        E: Send + 'static,
+        AppError: From<E>,
+    {
+        let service = start().await?;
+        self.run(of, service, start, run);
+        Ok(())
+    }
+
+    /// As [`Stage::start`], of a service that has been started for its first life.
+    fn run<S, E, Starting>(
+        &mut self,
+        of: String,
+        service: S,
+        start: impl Fn() -> Starting + Send + 'static,
+        run: Run<S, E>,
+    ) where
+        Starting: Future<Output = Result<S, E>> + Send + 'static,
+        S: Send + 'static,
+        E: Send + 'static,
+        AppError: From<E>,
+    {
+        let stop = self.stop.subscribe();
+        let first = run(service, Box::pin(stopped(stop.clone())));
+        let first = async move { Ok(first.await?) };
+        let next = move || {
+            let (starting, stop) = (start(), stopped(stop.clone()));
+            async move { Ok(run(starting.await?, Box::pin(stop)).await?) }
+        };
+        self.tasks.spawn(supervise(self.name, of, first, next));
     }
 
     /// Waits until an instance ends, which none does before it is told to.
@@ -183,6 +226,7 @@ impl Stage {
         };
         if tokio::time::timeout(STOP_DEADLINE, all).await.is_err() {
             warn!(service = self.name, deadline_s = STOP_DEADLINE.as_secs(), "did not finish in time");
+            self.tasks.abort_all();
         }
         first
     }
@@ -219,6 +263,7 @@ impl Running {
         state: Option<&State>,
     ) -> Result<(), AppError> {
         for Watched { structure, keys, .. } in watched {
+            let structure_name = structure.name().to_owned();
             let lateness = Duration::try_from_secs_f64(structure.ingest().lateness_s);
             let settings = IngestSettings {
                 id: Name::new("ingest")?,
@@ -226,21 +271,13 @@ impl Running {
                 waiting: lateness.map_or(Waiting::Unlimited, Waiting::Limited),
                 recording: state.map(|state| state.recording(keys)),
             };
-            let (structure, bus, keys, stop) =
-                (structure.clone(), bus.clone(), keys.clone(), self.ingest.stop.subscribe());
-            let name = structure.name().to_owned();
+            let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());
             let start = move || {
                 let settings = IngestSettings { epoch: epoch_now(), ..settings.clone() };
                 let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());
                 async move { IngestService::start(&structure, &bus, keys, settings).await }
             };
-            let (service, of_first) = (start().await?, stopped(stop.clone()));
-            let next = move || {
-                let (start, stop) = (start(), stopped(stop.clone()));
-                async move { Ok(start.await?.run(stop).await?) }
-            };
-            let first = async move { Ok(service.run(of_first).await?) };
-            self.ingest.tasks.spawn(supervise("ingest", name, first, next));
+            self.ingest.start(structure_name, start, |service, stop| service.run(stop)).await?;
         }
         Ok(())
     }
@@ -268,11 +305,21 @@ impl Running {
         for Watched { structure, keys, .. } in watched {
             let remembering = state.map(|state| state.remembering(keys));
             if structure.fusion().is_some() {
-                for (position, _) in structure.nodes().iter().enumerate().filter(|(_, node)| wanted(node.name())) {
-                    let (epoch, pool, remembering) = (epoch_now(), pool.clone(), remembering.as_ref());
-                    let service = NodeService::start(structure, position, bus, keys, epoch, pool, remembering).await?;
-                    let stop = self.identify.stopped();
-                    self.identify.tasks.spawn(async move { Ok(service.run(stop).await?) });
+                for (position, node) in structure.nodes().iter().enumerate().filter(|(_, node)| wanted(node.name())) {
+                    let of = format!("{}/{}", structure.name(), node.name());
+                    let (structure, bus, keys, pool) = (structure.clone(), bus.clone(), keys.clone(), pool.clone());
+                    let (remembering, set_aside) = (remembering.clone(), SetAside::default());
+                    let start = move || {
+                        let (structure, bus, keys, pool) = (structure.clone(), bus.clone(), keys.clone(), pool.clone());
+                        let (remembering, set_aside) = (remembering.clone(), set_aside.clone());
+                        async move {
+                            let (remembering, epoch) = (remembering.as_ref(), epoch_now());
+                            let service =
+                                NodeService::start(&structure, position, &bus, &keys, epoch, pool, remembering).await?;
+                            Ok(service.without(set_aside))
+                        }
+                    };
+                    self.identify.start(of, start, |service, stop| NodeService::run(service, stop)).await?;
                 }
                 continue;
             }
@@ -280,8 +327,8 @@ impl Running {
                 Precedence::Leads => Name::new("identify")?,
                 Precedence::StandsBy => Name::new(format!("identify-{:.8}", bus.instance()?.as_str()))?,
             };
+            let of = structure.name().to_owned();
             let (structure, bus, keys, pool) = (structure.clone(), bus.clone(), keys.clone(), pool.clone());
-            let (name, stop) = (structure.name().to_owned(), self.identify.stop.subscribe());
             let start = move || {
                 let (structure, bus, keys, id) = (structure.clone(), bus.clone(), keys.clone(), id.clone());
                 let (pool, remembering) = (pool.clone(), remembering.clone());
@@ -289,13 +336,7 @@ impl Running {
                     IdentifyService::start(&structure, &bus, keys, id, pool, remembering.as_ref(), precedence).await
                 }
             };
-            let (service, of_first) = (start().await?, stopped(stop.clone()));
-            let next = move || {
-                let (start, stop) = (start(), stopped(stop.clone()));
-                async move { Ok(start.await?.run(stop).await?) }
-            };
-            let first = async move { Ok(service.run(of_first).await?) };
-            self.identify.tasks.spawn(supervise("identify", name, first, next));
+            self.identify.start(of, start, |service, stop| service.run(stop)).await?;
         }
         Ok(())
     }
@@ -307,10 +348,14 @@ impl Running {
     pub async fn start_fuse(&mut self, bus: &Bus, watched: &[Watched], state: Option<&State>) -> Result<(), AppError> {
         for Watched { structure, keys, .. } in watched.iter().filter(|watched| watched.structure.fusion().is_some()) {
             let (id, remembering) = (Name::new("fuse")?, state.map(|state| state.remembering(keys)));
-            let (keys, epoch) = (keys.clone(), epoch_now());
-            let service = FuseService::start(structure, bus, keys, id, epoch, remembering.as_ref()).await?;
-            let stop = self.fuse.stopped();
-            self.fuse.tasks.spawn(async move { Ok(service.run(stop).await?) });
+            let of = structure.name().to_owned();
+            let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());
+            let start = move || {
+                let (structure, bus, keys) = (structure.clone(), bus.clone(), keys.clone());
+                let (id, remembering) = (id.clone(), remembering.clone());
+                async move { FuseService::start(&structure, &bus, keys, id, epoch_now(), remembering.as_ref()).await }
+            };
+            self.fuse.start(of, start, |service, stop| service.run(stop)).await?;
         }
         Ok(())
     }
@@ -323,20 +368,14 @@ impl Running {
         for Watched { structure, keys, baseline } in watched {
             let id = Name::new("alert")?;
             let remembering = state.map(|state| state.remembering(keys));
+            let of = structure.name().to_owned();
             let (structure, bus, keys, baseline) = (structure.clone(), bus.clone(), keys.clone(), baseline.clone());
-            let (name, stop) = (structure.name().to_owned(), self.alert.stop.subscribe());
             let start = move || {
                 let (structure, bus, keys, id) = (structure.clone(), bus.clone(), keys.clone(), id.clone());
                 let (baseline, remembering) = (baseline.clone(), remembering.clone());
                 async move { AlertService::start(&structure, baseline.as_ref(), &bus, keys, id, remembering.as_ref()).await }
             };
-            let (service, of_first) = (start().await?, stopped(stop.clone()));
-            let next = move || {
-                let (start, stop) = (start(), stopped(stop.clone()));
-                async move { Ok(start.await?.run(stop).await?) }
-            };
-            let first = async move { Ok(service.run(of_first).await?) };
-            self.alert.tasks.spawn(supervise("alert", name, first, next));
+            self.alert.start(of, start, |service, stop| service.run(stop)).await?;
         }
         Ok(())
     }
@@ -352,12 +391,14 @@ impl Running {
         address: &Address,
         keep: &Keep,
     ) -> Result<(), AppError> {
-        let structures: Vec<_> =
-            watched.iter().map(|Watched { structure, keys, .. }| (structure, keys.clone())).collect();
-        let service = HistoryService::start(&structures, bus, address, keep.clone(), Name::new("history")?).await?;
-        let stop = self.history.stopped();
-        self.history.tasks.spawn(async move { Ok(service.run(stop).await?) });
-        Ok(())
+        let (all, bus, address, keep) = (All::of(watched), bus.clone(), address.clone(), keep.clone());
+        let (of, id) = (all.names(), Name::new("history")?);
+        let start = move || {
+            let (all, bus, address) = (all.clone(), bus.clone(), address.clone());
+            let (keep, id) = (keep.clone(), id.clone());
+            async move { HistoryService::start(&all.structures(), &bus, &address, keep, id).await }
+        };
+        self.history.start(of, start, |service, stop| service.run(stop)).await
     }
 
     /// Starts the notices of all structures; with `state`, what is not delivered outlives the process.
@@ -373,10 +414,14 @@ impl Running {
     ) -> Result<(), AppError> {
         let folder = |keys: &Keys| state.map(|state| state.remembering(keys).folder);
         let structures: Vec<_> = watched.iter().map(|watched| (watched.keys.clone(), folder(&watched.keys))).collect();
-        let service = NotifyService::start(&structures, bus, settings, Name::new("notify")?).await?;
-        let stop = self.notify.stopped();
-        self.notify.tasks.spawn(async move { Ok(service.run(stop).await?) });
-        Ok(())
+        let (of, id) = (All::of(watched).names(), Name::new("notify")?);
+        let (bus, settings) = (bus.clone(), settings.clone());
+        let start = move || {
+            let (structures, bus) = (structures.clone(), bus.clone());
+            let (settings, id) = (settings.clone(), id.clone());
+            async move { NotifyService::start(&structures, &bus, &settings, id).await }
+        };
+        self.notify.start(of, start, |service, stop| service.run(stop)).await
     }
 
     /// Starts the dashboard of all structures, and returns where its page is.
@@ -389,11 +434,16 @@ impl Running {
         watched: &[Watched],
         page: &PageSettings,
     ) -> Result<SocketAddr, AppError> {
-        let structures: Vec<_> =
-            watched.iter().map(|Watched { structure, keys, .. }| (structure, keys.clone())).collect();
-        let service = DashboardService::start(&structures, bus, page, Name::new("dashboard")?).await?;
-        let (address, stop) = (service.address(), self.dashboard.stopped());
-        self.dashboard.tasks.spawn(async move { Ok(service.run(stop).await?) });
+        let (all, bus, id) = (All::of(watched), bus.clone(), Name::new("dashboard")?);
+        let service = DashboardService::start(&all.structures(), &bus, page, id.clone()).await?;
+        let (of, address) = (all.names(), service.address());
+        // whoever has the page open finds it in its place again
+        let page = PageSettings { listen: Listen::At(address.to_string()), ..page.clone() };
+        let start = move || {
+            let (all, bus, page, id) = (all.clone(), bus.clone(), page.clone(), id.clone());
+            async move { DashboardService::start(&all.structures(), &bus, &page, id).await }
+        };
+        self.dashboard.run(of, service, start, |service, stop| service.run(stop));
         Ok(address)
     }
 
@@ -426,6 +476,25 @@ impl Running {
         let notify = self.notify.stop().await;
         let dashboard = self.dashboard.stop().await;
         ingest.and(identify).and(fuse).and(alert).and(history).and(notify).and(dashboard)
+    }
+}
+
+/// The structures of a service that is one for all of them.
+#[derive(Clone)]
+struct All(Arc<[(Structure, Keys)]>);
+
+impl All {
+    fn of(watched: &[Watched]) -> Self {
+        Self(watched.iter().map(|watched| (watched.structure.clone(), watched.keys.clone())).collect())
+    }
+
+    fn structures(&self) -> Vec<(&Structure, Keys)> {
+        self.0.iter().map(|(structure, keys)| (structure, keys.clone())).collect()
+    }
+
+    fn names(&self) -> String {
+        let names: Vec<&str> = self.0.iter().map(|(structure, _)| structure.name()).collect();
+        names.join(", ")
     }
 }
 

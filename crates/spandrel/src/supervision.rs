@@ -7,6 +7,7 @@ use std::collections::VecDeque;
 use std::future::Future;
 use std::time::Duration;
 use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tracing::{debug, error, info, warn};
 
@@ -32,24 +33,29 @@ where
     Next: FnMut() -> Life,
     Life: Future<Output = Result<(), AppError>> + Send + 'static,
 {
-    let mut life = tokio::spawn(first);
+    // a set, because it ends what is in it when it is dropped: a life must not outlast whoever has given it up
+    let mut life = JoinSet::new();
+    life.spawn(first);
     let mut panics = VecDeque::new();
     loop {
-        let source = match life.await {
-            Ok(result) => return result,
-            Err(source) => source,
+        let panicked = match life.join_next().await {
+            Some(Ok(Err(error))) if error.is_of_a_panic() => error,
+            Some(Ok(result)) => return result,
+            Some(Err(source)) if source.is_cancelled() => return Err(AppError::Panicked { service, source }),
+            Some(Err(source)) => AppError::Panicked { service, source },
+            None => return Ok(()), // there is always one
         };
         let now = Instant::now();
         panics.push_back(now);
         while panics.front().is_some_and(|earlier| now.duration_since(*earlier) > PANICS_WITHIN) {
             panics.pop_front();
         }
-        if source.is_cancelled() || panics.len() >= MOST_PANICS {
-            return Err(AppError::Panicked { service, source });
+        if panics.len() >= MOST_PANICS {
+            return Err(panicked);
         }
         error!(service, structure, "panicked: it is started anew from what it remembers");
         tokio::time::sleep(PAUSE).await;
-        life = tokio::spawn(next());
+        life.spawn(next());
     }
 }
 
@@ -119,6 +125,7 @@ pub async fn feed_watchdog<T>(pool: Option<FilterPool>) -> T {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use spandrel_identify::IdentifyError;
     use std::sync::Arc;
     use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -140,6 +147,37 @@ mod tests {
         let error = supervise("alert", "tower".to_owned(), life(99)(), life(99)).await.unwrap_err();
         assert!(matches!(error, AppError::Panicked { service: "alert", .. }));
         assert_eq!(counted.load(Ordering::Relaxed) as usize, MOST_PANICS);
+    }
+
+    /// It went on beside the one that came after it, and led.
+    #[tokio::test]
+    async fn a_life_ends_with_whoever_has_given_it_up() {
+        let (alive, ended) = tokio::sync::oneshot::channel::<()>();
+        let (begun, has_begun) = tokio::sync::oneshot::channel();
+        let first = async move {
+            let _alive = alive;
+            begun.send(()).unwrap();
+            std::future::pending().await
+        };
+        let supervised = tokio::spawn(supervise("alert", "tower".to_owned(), first, std::future::pending));
+        has_begun.await.unwrap();
+        supervised.abort();
+        let ended = tokio::time::timeout(Duration::from_secs(30), ended).await;
+        assert!(ended.expect("the life goes on").is_err());
+    }
+
+    /// A filter that panics does so on a thread of its own, and its service says so: it ended the process.
+    #[tokio::test]
+    async fn a_service_whose_filter_was_lost_lives_again() {
+        let lost = || AppError::Identify(IdentifyError::ThreadLost { structure: "tower".to_owned() });
+        let first = async move { Err(lost()) };
+        let mut lives = 1;
+        let next = || {
+            lives += 1;
+            async { Ok(()) }
+        };
+        supervise("identify", "tower".to_owned(), first, next).await.unwrap();
+        assert_eq!(lives, 2);
     }
 
     #[tokio::test]

@@ -1,6 +1,5 @@
 use super::*;
 use proptest::prelude::*;
-use spandrel_bus::Block;
 use std::path::Path;
 
 fn structure() -> Structure {
@@ -123,6 +122,28 @@ fn motion_is_forgotten_over_a_gap_too_long_to_bridge() {
     let after = mean(&core);
     assert!(after.rows(0, 10).iter().all(|entry| *entry == 0.0), "the motion is back at its prior");
     assert_eq!(after.rows(10, 5), before.rows(10, 5), "the parameters are kept");
+}
+
+/// The estimates of a long gap were more than a message may have where there are some dozens of parameters: it ended the service.
+#[test]
+fn estimates_of_a_long_gap_come_in_blocks_that_can_be_sent() {
+    let mut core = Identification::new(&structure(), "identify").unwrap();
+    let mut outputs = Vec::new();
+    core.handle(Input::Frames(frames(200)), &mut outputs);
+    core.handle(Input::Gap { from: 200, to: 9000 }, &mut outputs);
+    let (mut next, mut grid) = (0, None);
+    let blocks = outputs.iter().filter_map(|output| match output {
+        Output::Estimates(block) => Some(block),
+        _ => None,
+    });
+    for block in blocks {
+        assert_eq!(block.header.sequence, next, "one follows the other");
+        grid = grid.or(block.grid());
+        assert_eq!(block.header.time_ns, grid.unwrap().time_ns(next));
+        assert!(block.estimates.len() * block.item_bytes() <= MOST_BYTES, "{} estimates", block.estimates.len());
+        next = block.end();
+    }
+    assert_eq!(next, 9000);
 }
 
 #[test]

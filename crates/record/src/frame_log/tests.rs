@@ -151,7 +151,7 @@ fn a_log_without_frames_is_empty() {
     assert_eq!((log.reader().spans(), log.reader().next_epoch(None)), (Vec::new(), None));
     assert_eq!(log.reader().read(0, 0, 10, 1000).unwrap(), None);
     log.close().unwrap();
-    assert_eq!(open(&deep).1, empty);
+    assert_eq!(open(&deep).1, OpenedLog { is_complete: Some(true), ..empty });
 }
 
 #[test]

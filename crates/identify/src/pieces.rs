@@ -1,0 +1,104 @@
+//! A stream in pieces of bounded work.
+//!
+//! What is fetched comes in blocks of thousands of items: of a heavy model that is more than a minute of filter work, in which nothing
+//! else of its structure would be looked at, and in which the watchdog would hear nothing of the thread.
+
+use spandrel_bus::{Block, Delivery, Stream, StreamCounts};
+
+/// Most items of a piece: a second and a half with the heaviest models, 25 ms an item, and three times that on a machine with much other
+/// work; the watchdog asks a thread for an answer within 10 s.
+const MOST_ITEMS: u64 = 64;
+
+/// The blocks of a stream, cut where they are long; where they are cut changes no estimate.
+#[derive(Debug)]
+pub(crate) struct Pieces<B> {
+    stream: Stream<B>,
+    /// what is left of a block
+    rest: Option<B>,
+}
+
+impl<B: Block> Pieces<B> {
+    pub(crate) fn of(stream: Stream<B>) -> Self {
+        Self { stream, rest: None }
+    }
+
+    /// Waits for the next piece or gap; safe to drop while waiting. `None` never comes while this exists.
+    pub(crate) async fn next(&mut self) -> Option<Delivery<B>> {
+        let block = match self.rest.take() {
+            Some(rest) => rest,
+            None => match self.stream.deliveries().recv_async().await.ok()? {
+                Delivery::Block(block) => block,
+                gap @ Delivery::Gap(_) => return Some(gap),
+            },
+        };
+        let (piece, rest) = cut(block);
+        self.rest = rest;
+        Some(Delivery::Block(piece))
+    }
+
+    /// What the stream has counted so far.
+    pub(crate) fn counts(&self) -> StreamCounts {
+        self.stream.counts()
+    }
+}
+
+/// The first piece of a block, and the rest if there is one, with which the end of the epoch goes.
+fn cut<B: Block>(block: B) -> (B, Option<B>) {
+    if block.count() <= MOST_ITEMS {
+        return (block, None);
+    }
+    let mut piece = block.clone();
+    piece.truncate(MOST_ITEMS);
+    let mut rest = block;
+    rest.skip(MOST_ITEMS);
+    (piece, Some(rest))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use spandrel_bus::{FrameBlock, Header, StreamState};
+
+    fn block(first: u64, count: u64) -> FrameBlock {
+        FrameBlock {
+            header: Header { source: "ingest".into(), epoch: 7, sequence: first, time_ns: 10_000_000 * first as i64 },
+            t0_ns: 0,
+            sampling_rate_hz: 100.0,
+            channels: 2,
+            values: (2 * first..2 * (first + count)).map(|value| value as f64).collect(),
+            state: StreamState::Ended,
+        }
+    }
+
+    fn pieces(block: FrameBlock) -> Vec<FrameBlock> {
+        let mut pieces = Vec::new();
+        let mut next = Some(block);
+        while let Some(block) = next.take() {
+            let (piece, rest) = cut(block);
+            pieces.push(piece);
+            next = rest;
+        }
+        pieces
+    }
+
+    #[test]
+    fn a_long_block_comes_in_short_pieces_that_are_the_block_again() {
+        let whole = block(1000, 4096);
+        let pieces = pieces(whole.clone());
+        assert!(pieces.iter().all(|piece| piece.count() <= MOST_ITEMS));
+        let ended = pieces.iter().filter(|piece| piece.state == StreamState::Ended).count();
+        assert_eq!(ended, 1, "only the last piece ends the epoch");
+        let mut pieces = pieces.into_iter();
+        let mut together = pieces.next().unwrap();
+        assert!(pieces.all(|piece| together.append(&piece)));
+        assert_eq!(together, whole);
+    }
+
+    #[test]
+    fn what_is_short_stays_whole_also_an_end_without_frames() {
+        for count in [0, 1, MOST_ITEMS] {
+            assert_eq!(pieces(block(5, count)), [block(5, count)]);
+        }
+        assert_eq!(pieces(block(5, MOST_ITEMS + 1)).len(), 2);
+    }
+}

@@ -1,0 +1,105 @@
+//! Samples that the worker of a node has died of, left out from then on.
+
+use spandrel_bus::{Block, SampleBlock, StreamState};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Samples of an epoch: its number, the first of them, and the one after the last.
+pub(crate) type Span = (u64, u64, u64);
+
+/// Samples that a worker has died of, known to each of its lives in one process: they count as missing.
+///
+/// A piece of samples is left out as a whole: it is short, and the filter bridges it by predictions.
+#[derive(Debug, Clone, Default)]
+pub struct SetAside {
+    spans: Arc<Mutex<Vec<Span>>>,
+}
+
+impl SetAside {
+    fn spans(&self) -> MutexGuard<'_, Vec<Span>> {
+        // nothing that panics runs under this lock
+        self.spans.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Leaves these samples out from now on.
+    pub(crate) fn add(&self, span: Span) {
+        self.spans().push(span);
+    }
+
+    /// The deaths so far.
+    pub(crate) fn deaths(&self) -> u64 {
+        self.spans().len() as u64
+    }
+
+    /// Samples that are left out.
+    pub(crate) fn samples(&self) -> u64 {
+        self.spans().iter().map(|(_, from, to)| to.saturating_sub(*from)).sum()
+    }
+
+    /// What is left of a block without them.
+    pub(crate) fn cut(&self, block: SampleBlock) -> Vec<SampleBlock> {
+        let mut parts = vec![block];
+        for (epoch, from, to) in self.spans().iter().copied() {
+            parts = parts.into_iter().flat_map(|part| without(part, epoch, from, to)).collect();
+        }
+        parts
+    }
+}
+
+/// What comes before and after samples `from` to before `to` of an epoch, where there is any.
+fn without(block: SampleBlock, epoch: u64, from: u64, to: u64) -> Vec<SampleBlock> {
+    let (first, end) = (block.header.sequence, block.end());
+    if block.header.epoch != epoch || end <= from || first >= to {
+        return vec![block];
+    }
+    let (mut before, mut after) = (block.clone(), block);
+    before.truncate(from.saturating_sub(first));
+    after.skip(to - first);
+    // an end travels with the last part, even where no sample is left for it
+    let has_after = after.count() > 0 || after.state == StreamState::Ended;
+    [Some(before).filter(|before| before.count() > 0), Some(after).filter(|_| has_after)]
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use spandrel_bus::{Header, Pace};
+
+    fn block(first: u64, count: u64, state: StreamState) -> SampleBlock {
+        SampleBlock {
+            header: Header { source: "roof".into(), epoch: 7, sequence: first, time_ns: 10_000_000 * first as i64 },
+            sampling_rate_hz: 100.0,
+            pace: Pace::Live,
+            channels: 1,
+            samples: (first..first + count).map(|number| number as f64).collect(),
+            state,
+        }
+    }
+
+    /// First and end of what is left of a block.
+    fn left(set_aside: &SetAside, block: SampleBlock) -> Vec<(u64, u64)> {
+        set_aside.cut(block).into_iter().map(|part| (part.header.sequence, part.end())).collect()
+    }
+
+    #[test]
+    fn samples_that_are_set_aside_are_left_out_wherever_the_blocks_are_cut() {
+        let set_aside = SetAside::default();
+        set_aside.add((7, 10, 14));
+        set_aside.add((7, 20, 22));
+        assert_eq!((set_aside.deaths(), set_aside.samples()), (2, 6));
+        let running = |first, count| block(first, count, StreamState::Running);
+        assert_eq!(left(&set_aside, running(0, 10)), [(0, 10)]);
+        assert_eq!(left(&set_aside, running(5, 30)), [(5, 10), (14, 20), (22, 35)]);
+        assert_eq!(left(&set_aside, running(8, 4)), [(8, 10)]);
+        assert_eq!(left(&set_aside, running(12, 4)), [(14, 16)]);
+        assert_eq!(left(&set_aside, running(11, 2)), []);
+        let other = SampleBlock { header: Header { epoch: 8, ..running(8, 4).header }, ..running(8, 4) };
+        assert_eq!(left(&set_aside, other), [(8, 12)]);
+        let ended = set_aside.cut(block(8, 6, StreamState::Ended));
+        let [before, end] = &ended[..] else { panic!("{ended:?}") };
+        assert_eq!((before.end(), before.state), (10, StreamState::Running));
+        assert_eq!((end.header.sequence, end.end(), end.state), (14, 14, StreamState::Ended));
+    }
+}
