@@ -93,11 +93,9 @@ async fn repeat(publisher: DisplayPublisher<Progress>, mut changes: watch::Recei
             Ok(Err(_nobody_sets_it)) => return,
             Err(_elapsed) => {}
         }
-        if *changes.borrow() == progress {
-            match timeout(REPEAT - PAUSE, changes.changed()).await {
-                Ok(Err(_nobody_sets_it)) => return,
-                Ok(Ok(())) | Err(_) => {}
-            }
+        let is_told = *changes.borrow() == progress;
+        if is_told && let Ok(Err(_nobody_sets_it)) = timeout(REPEAT - PAUSE, changes.changed()).await {
+            return;
         }
     }
 }
