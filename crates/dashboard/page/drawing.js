@@ -9,6 +9,11 @@ const HEIGHT = 360;
 const MARGIN = 34;
 /** Heights of parts (in units of the drawing) from which there is room for their names. */
 const NAMED_FROM = 13;
+/** Distance of the names beside parts that are too small for them, and how far from the part they begin. */
+const CALLOUT_ROW = 13;
+const CALLOUT_FROM = 20;
+/** Probability of loss from which on the worst part has a name however small it is; among sound parts the order means nothing. */
+const WORTH_NAMING = 0.05;
 /** What is flatter is drawn higher than it is. */
 const FLATTEST = 110;
 /** More parameters than this are named only where something is found. */
@@ -17,6 +22,9 @@ const MOST_NAMES = 12;
 export class Drawing {
   #parts = [];
   #sensors = [];
+  /** Names beside parts that are too small for them, and the heights at which others stand. */
+  #callouts = [];
+  #named = [];
 
   constructor(about, choose) {
     this.choose = choose;
@@ -33,19 +41,23 @@ export class Drawing {
   }
 
   /** Colours the parts and marks the sensors. */
-  update({ parameters, sensors }) {
+  update({ parameters, sensors, alerts }) {
+    const asked = new Map(alerts.map((alert) => [alert.parameter, alert.rule_credibility]));
+    const found = new Map();
     for (const part of this.#parts) {
-      const known = part.parameters.map((name) => parameters[name]?.probability_of_loss).filter((p) => p !== undefined);
-      const worst = known.length > 0 ? Math.max(...known) : null;
-      const level = step(worst);
-      setAttribute(part.element, "data-step", level);
+      const known = part.parameters.filter((name) => parameters[name]).sort((a, b) => parameters[b].probability_of_loss - parameters[a].probability_of_loss);
+      const worst = known.length > 0 ? parameters[known[0]].probability_of_loss : null;
+      const told = probability(worst, asked.get(known[0]));
+      found.set(part.name, { worst, told });
+      setAttribute(part.element, "data-step", step(worst));
       const names = part.parameters.join(", ") || "taken as known";
-      setText(part.title, `${part.name}: ${part.parameters.length > 0 ? `${names}, probability of loss ${probability(worst)}` : names}`);
+      setText(part.title, `${part.name}: ${part.parameters.length > 0 ? `${names}, probability of loss ${told}` : names}`);
       if (part.label) {
         const isFound = worst !== null && worst >= 0.5;
-        setText(part.label, part.parameters.length === 0 ? "" : this.namesAll || isFound ? part.text(worst) : "");
+        setText(part.label, part.parameters.length === 0 ? "" : this.namesAll || isFound ? part.text(worst, told) : "");
       }
     }
+    this.#callOut(found);
     const health = new Map(sensors.map((sensor) => [sensor.channel, sensor.health]));
     for (const { channel, name, element, sign, title } of this.#sensors) {
       const { sign: shape, word, level } = HEALTH[health.get(channel) ?? "unknown"];
@@ -55,13 +67,48 @@ export class Drawing {
     }
   }
 
+  /** Names the parts that have probably lost, and the worst one, where they are too small for a name of their own. */
+  #callOut(found) {
+    const worstOf = ({ names }) => Math.max(...names.map((name) => found.get(name)?.worst ?? 0));
+    const most = Math.max(...[...found.values()].map(({ worst }) => worst ?? 0));
+    const shown = this.#callouts.filter((callout) => worstOf(callout) >= Math.min(0.5, Math.max(most, WORTH_NAMING)));
+    for (const callout of this.#callouts) setAttribute(callout.element, "visibility", shown.includes(callout) ? null : "hidden");
+    // from the lowest one upwards, each at its part or at the next free height
+    const taken = [...this.#named];
+    for (const { names, text, value, leader, y, edge } of shown.toSorted((a, b) => b.y - a.y)) {
+      const isFree = (height) => taken.every((other) => Math.abs(other - height) >= CALLOUT_ROW);
+      let height = y;
+      while (!isFree(height) && height > CALLOUT_ROW) height -= 1;
+      taken.push(height);
+      const worst = names.map((one) => found.get(one)).sort((a, b) => (b?.worst ?? 0) - (a?.worst ?? 0))[0];
+      setText(value, worst?.told ?? "");
+      for (const one of [text, value]) one.setAttribute("y", height);
+      leader.setAttribute("d", `M${edge - CALLOUT_FROM + 3} ${height}L${edge - 6} ${y}H${edge}`);
+    }
+  }
+
   #storeys({ members, points, sensors }) {
     const bottom = HEIGHT - 26;
     const storey = Math.min(58, (bottom - 16) / members.length);
     const [left, width] = [120, 150];
     const level = (point) => bottom - storey * points[point].y;
     this.svg.append(s("path", { class: "ground", d: `M${left - 20} ${bottom}H${left + width + 6}` }), ...ground(left - 20, left + width + 6, bottom));
+    const abreast = Math.max(0, ...points.map((_, point) => sensors.filter((sensor) => sensor.point === point).length));
     const group = (member) => members.filter((other) => other.parts[0] === member.parts[0]);
+    for (const first of members.filter((member) => group(member)[0] === member && member.parameters.length > 0)) {
+      const together = group(first);
+      const y = (level(first.ends[0]) + level(together.at(-1).ends[1])) / 2;
+      if (together.length * storey >= NAMED_FROM) {
+        this.#named.push(y);
+        continue;
+      }
+      const text = s("text", { x: left - CALLOUT_FROM, class: "callout", "dominant-baseline": "central" }, first.parts[0]);
+      // beyond the sensors
+      const value = s("text", { x: left + width + 14 + 15 * abreast, class: "callout beside", "dominant-baseline": "central" });
+      const leader = s("path", { class: "leader" });
+      const element = s("g", { visibility: "hidden", "data-callout": first.parts[0] }, leader, text, value);
+      this.#callouts.push({ element, text, value, leader, y, edge: left, names: together.map((member) => member.parts.join(", ")) });
+    }
     // from the top, so that the lowest of a group, which has its name, lies in front
     for (const member of members.toReversed()) {
       const [y0, y1] = member.ends.map(level);
@@ -72,9 +119,10 @@ export class Drawing {
       const middle = (y0 + level(together.at(-1).ends[1])) / 2;
       const label = isNamed ? s("text", { x: left + width / 2, y: middle, class: "inside", "dominant-baseline": "central" }) : null;
       const name = isNamed ? s("text", { x: left - 10, y: middle, class: "aside", "dominant-baseline": "central" }, member.parts[0]) : null;
-      this.#part(member, [s("rect", { ...shape, class: "fill" }), s("rect", { ...shape, class: "hatch" })], label, (worst) => probability(worst), name);
+      this.#part(member, [s("rect", { ...shape, class: "fill" }), s("rect", { ...shape, class: "hatch" })], label, (_, told) => told, name);
       this.svg.append(s("path", { class: storey >= NAMED_FROM || together.at(-1) === member ? "floor" : "floor thin", d: `M${left} ${y1}H${left + width}` }));
     }
+    this.svg.append(...this.#callouts.map(({ element }) => element));
     this.#placeSensors(sensors, (point, count) => [left + width + 16 + 15 * count, level(point)], storey >= NAMED_FROM ? 1 : 0);
   }
 
@@ -108,7 +156,7 @@ export class Drawing {
         label = s("text", { x: isUpright ? x + 10 : x, y: isUpright ? y + 20 : y - 12, class: isUpright ? "beside" : "above" });
         labels.push(label);
       }
-      this.#part(member, [s("path", { class: "grip", d }), s("path", { class: "line", d }), s("path", { class: "dash", d })], label, (worst) => (worst >= 0.5 ? `${name} ${probability(worst)}` : name), null);
+      this.#part(member, [s("path", { class: "grip", d }), s("path", { class: "line", d }), s("path", { class: "dash", d })], label, (worst, told) => (worst >= 0.5 ? `${name} ${told}` : name), null);
     }
     this.#placeSensors(sensors, (point, count) => {
       const [x, y] = at(points[point]);
@@ -127,7 +175,7 @@ export class Drawing {
       const shape = { x, y: 40, width, height: 60 };
       const label = s("text", { x: x + width / 2, y: 70, class: "inside", "dominant-baseline": "central" });
       const name = s("text", { x: x + width / 2, y: 30, class: "over" }, member.parts.join(", "));
-      this.#part(member, [s("rect", { ...shape, class: "fill" }), s("rect", { ...shape, class: "hatch" })], label, (worst) => probability(worst), name);
+      this.#part(member, [s("rect", { ...shape, class: "fill" }), s("rect", { ...shape, class: "hatch" })], label, (_, told) => told, name);
     }
     this.#placeSensors(sensors, (point, count) => [left(point) + 10 + 16 * count, 118], 0);
   }

@@ -1,13 +1,16 @@
 // One plot over time: uPlot with the colours of the page, a shared crosshair, marks, and a file of what is seen.
 
 import { h, s, setText } from "./dom.js";
+import { flags } from "./marks.js";
 import { clock, isWithoutDate, recordTime } from "./words.js";
 
 /* global uPlot */
 
 const HEIGHT = 220;
-/** Rows for the words of marks. */
-const WORD_ROWS = 4;
+/** Height of a row of words above a plot, size of the words, and the room above a plot without them (px). */
+const WORD_ROW = 15;
+const WORD_SIZE = 12;
+const TOP_ROOM = 8;
 /** A hole in time this many usual steps long is drawn as a hole. */
 const HOLE_STEPS = 8;
 
@@ -34,7 +37,7 @@ export class Plot {
 
   /**
    * `plot`: title, unit, names (series), series and bands of uPlot, rows(columns by name) to its data, readout(data, index) to
-   * a text, marks() to lines: { y, text } or { x, text }, those first whose words count most, range of the y axis if it is fixed.
+   * a text, marks() to lines: { y, text, colour } or { x, text, colour }, those first whose words count most, range of the y axis if it is fixed.
    */
   constructor(plot, points, span) {
     Object.assign(this, { plot, points, span });
@@ -102,6 +105,9 @@ export class Plot {
     if (!this.#uplot) this.#uplot = new uPlot(this.#options(), data, this.holder);
     else this.#uplot.setData(data, false);
     this.#uplot.setScale("x", this.span.shown);
+    // a mark that is new in the same span changes the room above
+    const { room } = this;
+    if (this.#room(this.#uplot) !== room) this.#uplot.redraw(false, true);
     this.#read(this.#uplot.cursor.idx ?? null);
   }
 
@@ -182,6 +188,7 @@ export class Plot {
     return {
       width: this.holder.clientWidth,
       height: HEIGHT,
+      padding: [(u) => this.#room(u), null, null, null],
       legend: { show: false },
       tzDate: (seconds) => uPlot.tzDate(new Date(1000 * seconds), "Etc/UTC"),
       cursor: { sync: { key: "span" }, drag: { x: true, y: false, setScale: false }, points: { show: false } },
@@ -208,58 +215,59 @@ export class Plot {
     this.span.fix(from, to);
   }
 
+  /** Room above the plot for the words of its marks (px). */
+  #room(u) {
+    const rows = this.#flags(u).reduce((most, { row }) => Math.max(most, row + 1), 0);
+    return (this.room = rows > 0 ? rows * WORD_ROW + 4 : TOP_ROOM);
+  }
+
+  /** The marks of moments that are seen, with the places of their words. */
+  #flags(u) {
+    const { ctx } = u;
+    ctx.save(); // uPlot does not set again what it has set before
+    ctx.font = `${WORD_SIZE}px system-ui, sans-serif`;
+    const width = u.bbox.width / devicePixelRatio || this.holder.clientWidth;
+    const all = flags(this.plot.marks?.() ?? [], u.scales.x, width, (text) => ctx.measureText(text).width);
+    ctx.restore();
+    return all;
+  }
+
   #marks(u) {
     const { ctx, bbox } = u;
     const size = devicePixelRatio;
+    const flags = this.#flags(u);
     ctx.save();
-    ctx.beginPath();
-    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
-    ctx.clip();
-    ctx.font = `${12 * size}px system-ui, sans-serif`;
-    ctx.lineWidth = 1.5 * size;
+    ctx.font = `${WORD_SIZE * size}px system-ui, sans-serif`;
     [ctx.textAlign, ctx.textBaseline, ctx.lineJoin] = ["left", "alphabetic", "round"];
+    const line = (colour, dash, from, to) => {
+      [ctx.strokeStyle, ctx.lineWidth] = [colour, 1.5 * size];
+      ctx.setLineDash(dash.map((length) => length * size));
+      ctx.beginPath();
+      ctx.moveTo(...from);
+      ctx.lineTo(...to);
+      ctx.stroke();
+    };
     // with a rim, so that it is read across lines and bands
     const write = (text, x, y, colour) => {
       ctx.setLineDash([]);
       [ctx.strokeStyle, ctx.lineWidth] = [css("--card"), 4 * size];
       ctx.strokeText(text, x, y);
-      [ctx.strokeStyle, ctx.fillStyle, ctx.lineWidth] = [colour, colour, 1.5 * size];
+      ctx.fillStyle = colour;
       ctx.fillText(text, x, y);
     };
-    const words = [];
+    const [left, right, bottom] = [bbox.left, bbox.left + bbox.width, bbox.top + bbox.height];
     for (const mark of this.plot.marks?.() ?? []) {
+      if (mark.y === undefined) continue;
+      const y = u.valToPos(mark.y, "y", true);
+      if (y < bbox.top || y > bottom) continue;
       const colour = css(mark.colour ?? "--ink-soft");
-      ctx.strokeStyle = ctx.fillStyle = colour;
-      ctx.setLineDash(mark.x === undefined ? [6 * size, 4 * size] : [2 * size, 3 * size]);
-      ctx.beginPath();
-      if (mark.x === undefined) {
-        const y = u.valToPos(mark.y, "y", true);
-        ctx.moveTo(bbox.left, y);
-        ctx.lineTo(bbox.left + bbox.width, y);
-        ctx.stroke();
-        // a line near the top has its word below, at the other end than the words of the moments
-        const isHigh = y < bbox.top + 16 * size;
-        ctx.textAlign = isHigh ? "right" : "left";
-        write(mark.text, isHigh ? bbox.left + bbox.width - 6 * size : bbox.left + 6 * size, isHigh ? y + 14 * size : y - 4 * size, colour);
-        ctx.textAlign = "left";
-      } else if (mark.x >= u.scales.x.min && mark.x <= u.scales.x.max) {
-        const x = u.valToPos(mark.x, "x", true);
-        ctx.moveTo(x, bbox.top);
-        ctx.lineTo(x, bbox.top + bbox.height);
-        ctx.stroke();
-        const width = ctx.measureText(mark.text).width + 4 * size;
-        const isRight = x > bbox.left + bbox.width - 90 * size;
-        words.push({ text: mark.text, colour, x: isRight ? x - width : x + 4 * size, width });
-      }
+      line(colour, [6, 4], [left, y], [right, y]);
+      const isHigh = y < bbox.top + 16 * size;
+      write(mark.text, left + 6 * size, isHigh ? y + 14 * size : y - 4 * size, colour);
     }
-    // after all lines, and each where it lies on no other; one that has no room is left out, its line says when
-    const rows = Array.from({ length: WORD_ROWS }, () => []);
-    for (const { text, colour, x, width } of words) {
-      const row = rows.findIndex((taken) => taken.every((other) => x + width < other.x || x > other.x + other.width));
-      if (row < 0) continue;
-      rows[row].push({ x, width });
-      write(text, x, bbox.top + (13 + 15 * row) * size, colour);
-    }
+    // a line goes up to its word
+    for (const { at, row, colour } of flags) line(css(colour), [2, 3], [left + at * size, bbox.top - (row + 1) * WORD_ROW * size], [left + at * size, bottom]);
+    for (const { text, colour, row, from } of flags.filter(({ row }) => row >= 0)) write(text, left + from * size, bbox.top - (row * WORD_ROW + 4) * size, css(colour));
     ctx.restore();
   }
 

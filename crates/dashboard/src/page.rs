@@ -53,6 +53,7 @@ pub(crate) const ASSETS: &[Asset] = &[
     asset!("/overview.js", SCRIPT, "../page/overview.js"),
     asset!("/structure.js", SCRIPT, "../page/structure.js"),
     asset!("/drawing.js", SCRIPT, "../page/drawing.js"),
+    asset!("/marks.js", SCRIPT, "../page/marks.js"),
     asset!("/nodes.js", SCRIPT, "../page/nodes.js"),
     asset!("/plot.js", SCRIPT, "../page/plot.js"),
     asset!("/plots.js", SCRIPT, "../page/plots.js"),

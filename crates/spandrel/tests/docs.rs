@@ -105,6 +105,19 @@ fn every_page_is_in_the_book() {
     for page in all.iter().filter(|page| !page.ends_with("SUMMARY.md")) {
         assert!(listed.contains(page), "{} is not in docs/SUMMARY.md", page.display());
     }
+    // mdBook would write them beside the book
+    let outside: Vec<_> = listed.iter().filter(|page| !page.starts_with(docs.canonicalize().unwrap())).collect();
+    assert!(outside.is_empty(), "outside of docs: {outside:?}");
+}
+
+/// What the page prints is compiled.
+#[test]
+fn the_subscriber_in_rust_is_that_of_the_example() {
+    let topics = std::fs::read_to_string(root().join("docs/topics.md")).unwrap();
+    let (_, rest) = topics.split_once("\n### Rust\n").expect("a section on Rust");
+    let printed = rest.split_once("```rust\n").and_then(|(_, code)| code.split_once("```")).expect("its code").0;
+    let example = std::fs::read_to_string(root().join("crates/bus/examples/subscribe.rs")).unwrap();
+    assert!(example.ends_with(printed), "docs/topics.md does not print crates/bus/examples/subscribe.rs");
 }
 
 fn help(arguments: &[&str]) -> String {

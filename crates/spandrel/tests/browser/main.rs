@@ -10,6 +10,7 @@
 )]
 
 mod chromium;
+mod layout;
 
 use chromium::Browser;
 use serde_json::json;
