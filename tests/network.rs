@@ -328,10 +328,16 @@ fn assert_faults_were_felt(silent: &BTreeMap<String, Vec<f64>>) {
     }
 }
 
+/// In the first seconds each message doubles what is known: what a fusion did without then is felt until they are over.
+const FIRST_SECONDS_S: f64 = 5.0;
+
 /// Fusions, and when a message had not come in time for them, because it was lost on the way more than once. Such a fusion does
-/// without it, which is a deviation or more in the first seconds, in which each message doubles what is known; the next one has it.
+/// without it, which is a deviation or more in the first seconds; after them the next one has it.
 fn compare((expected, late_there): (&[Fused], &[f64]), (found, late): (&[Fused], &[f64])) {
-    let is_late = |fused: &Fused, late: &[f64]| late.iter().any(|time_s| (time_s - fused.time_s).abs() < 1e-3);
+    let is_late = |fused: &Fused, late: &[f64]| {
+        let felt_later = |time_s: f64| fused.time_s < FIRST_SECONDS_S && time_s < fused.time_s;
+        late.iter().any(|time_s| (time_s - fused.time_s).abs() < 1e-3 || felt_later(*time_s))
+    };
     let disturbed = [PARTITION_S, OUTAGE_S].map(|span| span.start..span.end + RECOVERY_S);
     let (mut outside, mut inside, mut compared) = ((0.0, 0.0), (0.0, 0.0), 0);
     for fused in found {
@@ -360,7 +366,7 @@ fn compare((expected, late_there): (&[Fused], &[f64]), (found, late): (&[Fused],
         "largest difference in deviations: {:.2} at {:.0} s, in disturbed spans {:.2} at {:.0} s",
         outside.0, outside.1, inside.0, inside.1
     );
-    assert!(compared > 30, "only {compared} fusions outside the disturbed spans");
+    assert!(compared > 25, "only {compared} fusions outside the disturbed spans");
     let end = found.last().unwrap();
     println!("at the end {:.3?} ± {:.3?}", end.mean, end.std);
 }

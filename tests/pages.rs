@@ -9,8 +9,9 @@ mod page;
 mod support;
 
 use page::{Page, here, root};
-use std::path::PathBuf;
-use support::Lab;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use support::{Lab, Process, five_storeys};
 
 fn records(folder: &str) -> Option<PathBuf> {
     let records = root().join("../shared/data").join(folder);
@@ -62,4 +63,33 @@ fn highway_bridge_goes_as_the_page_says() {
         page.have(&records.join(format!("{event}_ce89324p.zip")));
     }
     assert_eq!(page.follow(here), 10);
+}
+
+/// The subscriber of docs/topics.md. It asks at the usual address, so that it has a network of its own.
+#[test]
+fn the_subscriber_in_rust_prints_the_parameters_of_the_demo() {
+    let Some(lab) = Lab::or_skip(&["desk"], 3) else { return };
+    let example = Path::new(env!("CARGO_BIN_EXE_spandrel")).with_file_name("examples").join("subscribe");
+    if !example.exists() {
+        let why = "skipped: no example subscribe: `cargo test --workspace` builds it, and a test that is asked for alone does not";
+        assert!(std::env::var_os("REQUIRE_ALL_TESTS").is_none(), "{why}");
+        println!("{why}");
+        return;
+    }
+    let on_desk = |command: Command| {
+        let mut inside = lab.inside("desk");
+        inside.arg(command.get_program()).args(command.get_args());
+        Process::start(&mut inside)
+    };
+    let mut run = lab.spandrel("desk", "run");
+    let run = Process::start(run.arg(five_storeys()).args(["-v", "--http", "none"]));
+    run.wait_for_log("ready structures=1");
+    let subscriber = on_desk(Command::new(example));
+    let mut simulate = lab.spandrel("desk", "simulate");
+    simulate.arg(five_storeys()).args(["--live", "--duration", "600", "--connect", "tcp/127.0.0.1:7447"]);
+    let _simulate = Process::start(&mut simulate);
+    subscriber.wait_for_output("every parameter", |printed| {
+        let of = |name: &str| printed.contains(&format!("spandrel/demo/parameter/{name}: "));
+        (1..=5).all(|storey| of(&format!("storey-{storey}")))
+    });
 }

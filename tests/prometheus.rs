@@ -244,7 +244,8 @@ fn each_query_of_the_dashboard_finds_values_and_the_rules_are_in_force() {
         "--connect",
         classes.endpoint(),
     ]);
-    let _simulation = Process::start(simulate.args(["--duration", "60", "--speed", "1"]));
+    // as samples are measured: of others no lag is told
+    let _simulation = Process::start(simulate.args(["--duration", "600", "--live"]));
     let prometheus = Prometheus::start(&[whole, distributed, page]);
 
     let names = ["demo", "demo-distributed", classes.structure().name()];

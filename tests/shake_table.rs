@@ -110,11 +110,14 @@ fn identify(structure: &Structure, frame: &Frame, motion: &str) -> Outcome {
     let mut outputs = Vec::new();
     core.handle(Input::Frames(block), &mut outputs);
     assert_eq!(core.restarts(), 0, "{} {motion}: the filter was restarted", frame.state);
-    let estimates = outputs.iter().find_map(|output| match output {
-        Output::Estimates(block) => Some(&block.estimates),
-        _ => None,
-    });
-    let estimates = estimates.unwrap();
+    let estimates: Vec<_> = outputs
+        .iter()
+        .flat_map(|output| match output {
+            Output::Estimates(block) => block.estimates.as_slice(),
+            _ => &[],
+        })
+        .collect();
+    assert_eq!(estimates.len(), top.len());
     let mut outcome = Outcome { stiffnesses: vec![], first_frequencies: vec![], misfit: 0.0, below_bound: 0.0 };
     let mut last_motion = None;
     for (k, estimate) in estimates.iter().enumerate() {
