@@ -329,7 +329,7 @@ fn assert_faults_were_felt(silent: &BTreeMap<String, Vec<f64>>) {
 }
 
 /// In the first seconds each message doubles what is known: what a fusion did without then is felt until they are over.
-const FIRST_SECONDS_S: f64 = 5.0;
+const FIRST_SECONDS_S: f64 = 10.0;
 
 /// Fusions, and when a message had not come in time for them, because it was lost on the way more than once. Such a fusion does
 /// without it, which is a deviation or more in the first seconds; after them the next one has it.
