@@ -10,7 +10,9 @@ use crate::error::FilterError;
 use crate::model::ObservationModel;
 use crate::noise::{NoiseModel, NoiseTarget};
 use crate::product::{Left, Multiplier, Right, Sum};
+use crate::small::{Congruence, MOST_ROWS};
 use nalgebra::{DMatrix, DVector};
+use pulp::Arch;
 
 /// The exact transition of a linear time-invariant model over one time step.
 #[derive(Debug, Clone, PartialEq)]
@@ -113,14 +115,28 @@ impl ConstantTransition {
     }
 
     /// Replaces the mean (n) by `A_d y + B_d f + R Δf`; `ramp` is `Δf` (N_f), `None` where the excitation is held.
-    pub(crate) fn predict_mean_mut(
+    fn predict_mean_mut(
         &self,
         mean: &mut DVector<f64>,
         held: &DVector<f64>,
         ramp: Option<&DVector<f64>>,
         column: &mut DVector<f64>,
+        small: Option<(Arch, &Congruence)>,
     ) {
         column.copy_from(mean);
+        if let Some((arch, congruence)) = small {
+            congruence.mul_to(arch, column.as_slice(), mean.as_mut_slice());
+        } else {
+            self.move_to(column, mean);
+        }
+        mean.gemv(1.0, &self.held, held, 1.0);
+        if let Some(ramp) = ramp {
+            mean.gemv(1.0, &self.ramp, ramp, 1.0);
+        }
+    }
+
+    /// Writes `A_d y` (n).
+    fn move_to(&self, column: &DVector<f64>, mean: &mut DVector<f64>) {
         match &self.transition {
             Transition::Dense(a) => mean.gemv(1.0, a, column, 0.0),
             Transition::Modal(blocks) => {
@@ -130,10 +146,6 @@ impl ConstantTransition {
                     mean[modes + j] = c * column[j] + d * column[modes + j];
                 }
             }
-        }
-        mean.gemv(1.0, &self.held, held, 1.0);
-        if let Some(ramp) = ramp {
-            mean.gemv(1.0, &self.ramp, ramp, 1.0);
         }
     }
 
@@ -242,26 +254,44 @@ pub(crate) struct ConstantPath {
 /// The covariance by a full `A_d`: what its products need.
 #[derive(Debug, Clone)]
 struct DenseProducts {
-    /// `A_dᵀ`
-    by_transition: Right,
-    /// `A_d Σ` (n × n)
-    half_way: DMatrix<f64>,
+    factors: Factors,
     multiplier: Multiplier,
+}
+
+#[derive(Debug, Clone)]
+enum Factors {
+    Small(Congruence),
+    Large {
+        /// `A_dᵀ`
+        by_transition: Right,
+        /// `A_d Σ` (n × n)
+        half_way: DMatrix<f64>,
+    },
 }
 
 impl DenseProducts {
     fn new(transition: &DMatrix<f64>) -> Self {
         let n = transition.nrows();
-        let mut by_transition = Right::new(n, n, 1);
-        by_transition.pack(&transition.transpose());
-        Self { by_transition, half_way: DMatrix::zeros(n, n), multiplier: Multiplier::new() }
+        let factors = if n <= MOST_ROWS {
+            Factors::Small(Congruence::new(transition))
+        } else {
+            let mut by_transition = Right::new(n, n, 1);
+            by_transition.pack(&transition.transpose());
+            Factors::Large { by_transition, half_way: DMatrix::zeros(n, n) }
+        };
+        Self { factors, multiplier: Multiplier::new() }
     }
 
     /// Writes `λ A_d Σ A_dᵀ` (n × n) into `out`; both triangles get the same bits.
     fn propagate_covariance_to(&mut self, covariance: &DMatrix<f64>, fading: f64, out: &mut DMatrix<f64>) {
-        let Self { by_transition, half_way, multiplier } = self;
-        multiplier.multiply_transposed_to(Left::new(covariance), by_transition, Sum::PLAIN, half_way);
-        multiplier.multiply_symmetric_to(Left::new(half_way), by_transition, Sum::scaled(fading), out);
+        let Self { factors, multiplier } = self;
+        match factors {
+            Factors::Small(congruence) => congruence.apply_to(multiplier.arch(), fading, covariance, out),
+            Factors::Large { by_transition, half_way } => {
+                multiplier.multiply_transposed_to(Left::new(covariance), by_transition, Sum::PLAIN, half_way);
+                multiplier.multiply_symmetric_to(Left::new(half_way), by_transition, Sum::scaled(fading), out);
+            }
+        }
     }
 }
 
@@ -275,6 +305,22 @@ impl ConstantPath {
             *out *= fading;
             symmetrise_mut(out);
         }
+    }
+
+    /// Replaces the mean (n) as [`ConstantTransition::predict_mean_mut`] does.
+    pub(crate) fn predict_mean_mut(
+        &mut self,
+        mean: &mut DVector<f64>,
+        held: &DVector<f64>,
+        ramp: Option<&DVector<f64>>,
+    ) {
+        let small = match &self.dense {
+            Some(DenseProducts { factors: Factors::Small(congruence), multiplier }) => {
+                Some((multiplier.arch(), congruence))
+            }
+            _ => None,
+        };
+        self.transition.predict_mean_mut(mean, held, ramp, &mut self.column, small);
     }
 
     pub(crate) fn new(transition: ConstantTransition, model: &impl ObservationModel, noise: &NoiseModel) -> Self {
@@ -334,15 +380,14 @@ impl ConstantPath {
     }
 }
 
-/// Adds `weight · u vᵀ`.
+/// Adds `weight · u vᵀ`, to both triangles alike where `u` is `v`.
 fn add_outer_mut(target: &mut DMatrix<f64>, weight: f64, u: &[f64], v: &[f64]) {
     if weight == 0.0 {
         return;
     }
     for (mut column, right) in target.column_iter_mut().zip(v) {
-        let right = weight * right;
         for (entry, left) in column.iter_mut().zip(u) {
-            *entry += left * right;
+            *entry += weight * (left * right);
         }
     }
 }

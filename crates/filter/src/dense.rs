@@ -128,8 +128,40 @@ pub(crate) fn symmetrise_mut(matrix: &mut DMatrix<f64>) {
 
 /// Adds `scale · X` to a matrix of the same size.
 pub(crate) fn add_scaled_mut(target: &mut DMatrix<f64>, scale: f64, x: &DMatrix<f64>) {
+    add_scaled_slice_mut(target.as_mut_slice(), scale, x.as_slice());
+}
+
+/// Adds `scale · x` to a vector of the same length.
+pub(crate) fn add_scaled_slice_mut(target: &mut [f64], scale: f64, x: &[f64]) {
+    if target.len() < SHORT {
+        add_scaled(target, scale, x);
+    } else {
+        Arch::new().dispatch(AddScaled { target, scale, x });
+    }
+}
+
+/// Below this length a loop ends before better instructions are chosen.
+const SHORT: usize = 24;
+
+struct AddScaled<'m> {
+    target: &'m mut [f64],
+    scale: f64,
+    x: &'m [f64],
+}
+
+impl WithSimd for AddScaled<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        add_scaled(self.target, self.scale, self.x);
+    }
+}
+
+#[inline(always)]
+fn add_scaled(target: &mut [f64], scale: f64, x: &[f64]) {
     // slices: several times faster than the iterators of nalgebra
-    for (entry, addend) in target.as_mut_slice().iter_mut().zip(x.as_slice()) {
+    for (entry, addend) in target.iter_mut().zip(x) {
         *entry += scale * addend;
     }
 }

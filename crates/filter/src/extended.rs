@@ -21,6 +21,7 @@ use crate::noise::{ExcitationPath, NoiseEvents, NoisePhase, NoiseRule, NoiseStat
 use crate::outlier::OutlierState;
 use crate::product::{Extent, Left, Piece, Sum};
 use crate::proportional;
+use crate::small;
 use crate::update::{self, ExcitationPosterior, ExcitationSpread};
 use nalgebra::{DMatrix, DVector};
 use workspace::Workspace;
@@ -388,14 +389,14 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         }
         if let Some(constant) = &mut work.constant {
             constant.propagate_covariance_to(&state.covariance, settings.fading.value(), &mut work.covariance);
-            let ConstantPath { transition, column, .. } = constant;
             let held = &work.older;
             let ramp = (settings.input_hold == InputHold::First).then(|| {
                 work.newer_less_older.copy_from(&work.newer);
                 work.newer_less_older -= held;
                 &work.newer_less_older
             });
-            transition.predict_mean_mut(&mut work.mean, held, ramp, column);
+            constant.predict_mean_mut(&mut work.mean, held, ramp);
+            let ConstantPath { transition, column, .. } = constant;
             work.input_matrix.copy_from(transition.held_input());
             if let Some(ExcitationPosterior { cross, .. }) = &state.posterior {
                 work.cross.copy_from(cross);
@@ -478,8 +479,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             if !is_known {
                 work.by_h_t.pack_sparse(&work.h_t);
             }
-            let left = Left::new(&work.covariance);
-            work.multiplier.multiply_to(left, &work.by_h_t, Extent::Full, Sum::PLAIN, &mut work.p_ht);
+            if work.mean.len() <= small::MOST_ROWS {
+                small::multiply_to(work.multiplier.arch(), &work.covariance, &work.h_t, &mut work.p_ht);
+            } else {
+                let left = Left::new(&work.covariance);
+                work.multiplier.multiply_to(left, &work.by_h_t, Extent::Full, Sum::PLAIN, &mut work.p_ht);
+            }
         } else {
             model.observation_jacobian_mul(&work.covariance, &mut work.h_p);
             work.p_ht.tr_copy_from(&work.h_p); // because P is symmetric

@@ -45,6 +45,7 @@ pub mod noise;
 pub mod outlier;
 pub mod particle;
 pub mod proportional;
+mod small;
 pub mod steady;
 pub mod update;
 

@@ -12,7 +12,6 @@ mod transpose;
 use nalgebra::DMatrix;
 use pulp::bytemuck::Pod;
 use pulp::{Arch, Simd, WithSimd};
-use right::groups;
 use std::ops::Range;
 use transpose::mirror_square;
 
@@ -94,16 +93,6 @@ pub(crate) enum Extent {
     Band(usize),
 }
 
-impl Extent {
-    /// Tells whether there is something to sum for a block.
-    fn meets(self, rows: &Range<usize>, columns: &Range<usize>) -> bool {
-        match self {
-            Self::Full | Self::Before(_) => true,
-            Self::Band(half) => rows.end + half > columns.start && columns.end + half > rows.start,
-        }
-    }
-}
-
 /// What becomes of a product: `factor · (Z + X Y)`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sum<'m> {
@@ -176,7 +165,25 @@ impl Multiplier {
 
     /// Writes a product.
     pub(crate) fn run(self, product: Product<'_>) {
-        self.0.dispatch(product);
+        let Product { left, rows, right, first_column, extent, sum: Sum { factor, start }, store } = product;
+        let order = Order { left, rows, right, first_column, extent, factor };
+        // each pair has instructions of its own: what is decided here is not decided for every block
+        match (store, start) {
+            (Store::Plain { target, first_row }, None) => self.sum(order, Nothing, Plain { target, first_row }),
+            (Store::Plain { target, first_row }, Some(start)) => self.sum(order, start, Plain { target, first_row }),
+            (Store::Mirrored(target), None) => self.sum(order, Nothing, Mirrored(target)),
+            (Store::Mirrored(target), Some(start)) => self.sum(order, start, Mirrored(target)),
+            (Store::Split { transposed, split, mirrored }, None) => {
+                self.sum(order, Nothing, Split { transposed, split, mirrored });
+            }
+            (Store::Split { transposed, split, mirrored }, Some(start)) => {
+                self.sum(order, start, Split { transposed, split, mirrored });
+            }
+        }
+    }
+
+    fn sum(self, order: Order<'_>, start: impl Start, keep: impl Keep) {
+        self.0.dispatch(Strips { order, start, keep });
     }
 
     /// Writes the product of `left` (m × k) and `right` (k × c) into the first columns of `out` (m rows).
@@ -218,12 +225,152 @@ impl Multiplier {
     }
 }
 
-impl WithSimd for Product<'_> {
+/// What is summed, but for where it starts from and what becomes of it.
+#[derive(Debug)]
+struct Order<'m> {
+    left: Left<'m>,
+    rows: Range<usize>,
+    right: &'m Right,
+    first_column: usize,
+    extent: Extent,
+    factor: f64,
+}
+
+/// What the sums of a block start from.
+trait Start: Copy {
+    fn sums<S: Simd, const R: usize>(self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS];
+}
+
+/// From zero.
+#[derive(Debug, Clone, Copy)]
+struct Nothing;
+
+impl Start for Nothing {
+    #[inline(always)]
+    fn sums<S: Simd, const R: usize>(self, simd: S, _: usize, _: &Range<usize>) -> [[S::f64s; R]; COLUMNS] {
+        [[simd.splat_f64s(0.0); R]; COLUMNS]
+    }
+}
+
+impl Start for Piece<'_> {
+    #[inline(always)]
+    fn sums<S: Simd, const R: usize>(self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS] {
+        let mut sums = [[simd.splat_f64s(0.0); R]; COLUMNS];
+        let mut rest = &self.entries[columns.start * self.stride + first - self.first_row..];
+        for (lane, sums) in sums.iter_mut().enumerate() {
+            let (entries, _) = S::as_simd_f64s(&rest[..R * S::F64_LANES]);
+            for (sum, entry) in sums.iter_mut().zip(entries) {
+                *sum = *entry;
+            }
+            if lane + 1 >= columns.len() {
+                break;
+            }
+            rest = &rest[self.stride..];
+        }
+        sums
+    }
+}
+
+/// What becomes of a block.
+trait Keep {
+    /// `before`: the first of all rows that are asked for.
+    fn keep<F: Pod, const R: usize>(
+        &mut self,
+        before: usize,
+        rows: Range<usize>,
+        columns: Range<usize>,
+        block: &[[F; R]; COLUMNS],
+    );
+
+    /// Keeps zeros.
+    fn clear(&mut self, rows: &Range<usize>, columns: Range<usize>);
+}
+
+struct Plain<'m> {
+    target: Target<'m>,
+    first_row: usize,
+}
+
+impl Keep for Plain<'_> {
+    #[inline(always)]
+    fn keep<F: Pod, const R: usize>(
+        &mut self,
+        _: usize,
+        rows: Range<usize>,
+        columns: Range<usize>,
+        block: &[[F; R]; COLUMNS],
+    ) {
+        self.target.store(rows.start - self.first_row, columns, block);
+    }
+
+    fn clear(&mut self, rows: &Range<usize>, columns: Range<usize>) {
+        for column in columns {
+            let start = column * self.target.stride + rows.start - self.first_row;
+            self.target.entries[start..start + rows.len()].fill(0.0);
+        }
+    }
+}
+
+struct Mirrored<'m>(Target<'m>);
+
+impl Keep for Mirrored<'_> {
+    #[inline(always)]
+    fn keep<F: Pod, const R: usize>(
+        &mut self,
+        before: usize,
+        rows: Range<usize>,
+        columns: Range<usize>,
+        block: &[[F; R]; COLUMNS],
+    ) {
+        self.0.store(rows.start, columns.clone(), block);
+        if columns.start < before {
+            // what is beside the diagonal is mirrored with it, once all of it is there
+            self.0.scatter(rows, columns.start..columns.end.min(before), block);
+        }
+    }
+
+    fn clear(&mut self, _: &Range<usize>, _: Range<usize>) {} // no band is wanted so
+}
+
+struct Split<'m> {
+    transposed: Target<'m>,
+    split: usize,
+    mirrored: Target<'m>,
+}
+
+impl Keep for Split<'_> {
+    #[inline(always)]
+    fn keep<F: Pod, const R: usize>(
+        &mut self,
+        _: usize,
+        rows: Range<usize>,
+        columns: Range<usize>,
+        block: &[[F; R]; COLUMNS],
+    ) {
+        if rows.start < self.split {
+            self.transposed.scatter(rows.start..rows.end.min(self.split), columns.clone(), block);
+        }
+        if rows.end > self.split {
+            self.mirrored.store(rows.start, columns.clone(), block);
+            self.mirrored.scatter(rows, columns, block);
+        }
+    }
+
+    fn clear(&mut self, _: &Range<usize>, _: Range<usize>) {}
+}
+
+struct Strips<'m, B, K> {
+    order: Order<'m>,
+    start: B,
+    keep: K,
+}
+
+impl<B: Start, K: Keep> WithSimd for Strips<'_, B, K> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        let (rows, lanes) = (self.rows.clone(), S::F64_LANES);
+        let (rows, lanes) = (self.order.rows.clone(), S::F64_LANES);
         if rows.len() < lanes {
             for row in rows {
                 self.strip::<pulp::Scalar, 1>(pulp::Scalar, row);
@@ -249,92 +396,36 @@ impl WithSimd for Product<'_> {
     }
 }
 
-impl Product<'_> {
+impl<B: Start, K: Keep> Strips<'_, B, K> {
     /// Writes `R` registers of rows from row `first` on.
     #[inline(always)]
     fn strip<S: Simd, const R: usize>(&mut self, simd: S, first: usize) {
-        let Right { columns, runs, ends, values } = self.right;
+        let Order { left, rows: Range { start: before, .. }, right, first_column, extent, factor } = self.order;
         let rows = first..first + R * S::F64_LANES;
-        let (mut start, mut values) = (0, values.as_slice());
-        for (columns, end) in groups(*columns).zip(ends) {
-            let runs = &runs[start..*end];
-            let (of_group, rest) = values.split_at(runs.iter().map(Range::len).sum());
-            (start, values) = (*end, rest);
-            let target = columns.start + self.first_column..columns.end + self.first_column;
-            if matches!(self.extent, Extent::Before(end) if target.start >= end) {
-                return;
-            }
-            if self.extent.meets(&rows, &target) {
-                let start = self.sum.start::<S, R>(simd, first, &columns);
-                let mut sums = self.left.add_to::<S, R>(simd, first, runs, of_group, start);
-                self.sum.finish::<S, R>(simd, &mut sums);
-                self.store(rows.clone(), target, &sums);
-            } else if let (Extent::Band(_), Store::Plain { target: Target { entries, stride }, first_row }) =
-                (self.extent, &mut self.store)
-            {
-                for column in target {
-                    let start = column * *stride + rows.start - *first_row;
-                    entries[start..start + rows.len()].fill(0.0);
+        let (mut first_run, mut first_value, mut first_of_group) = (0, 0, 0);
+        for &(run_end, value_end) in &right.ends {
+            let (runs, values) = (&right.runs[first_run..run_end], &right.values[first_value..value_end]);
+            let columns = first_of_group..(first_of_group + COLUMNS).min(right.columns);
+            (first_run, first_value, first_of_group) = (run_end, value_end, columns.end);
+            let target = columns.start + first_column..columns.end + first_column;
+            match extent {
+                Extent::Before(end) if target.start >= end => return,
+                Extent::Band(half) if rows.end + half <= target.start || target.end + half <= rows.start => {
+                    self.keep.clear(&rows, target);
+                    continue;
                 }
+                _ => {}
             }
-        }
-    }
-
-    /// Writes a block of the product.
-    #[inline(always)]
-    fn store<F: Pod, const R: usize>(&mut self, rows: Range<usize>, columns: Range<usize>, block: &[[F; R]; COLUMNS]) {
-        let before = self.rows.start;
-        match &mut self.store {
-            Store::Plain { target, first_row } => {
-                target.store(rows.start - *first_row, columns, block);
-            }
-            Store::Mirrored(target) => {
-                target.store(rows.start, columns.clone(), block);
-                if columns.start < before {
-                    // what is beside the diagonal is mirrored with it, once all of it is there
-                    target.scatter(rows, columns.start..columns.end.min(before), block);
-                }
-            }
-            Store::Split { transposed, split, mirrored } => {
-                if rows.start < *split {
-                    transposed.scatter(rows.start..rows.end.min(*split), columns.clone(), block);
-                }
-                if rows.end > *split {
-                    mirrored.store(rows.start, columns.clone(), block);
-                    mirrored.scatter(rows, columns, block);
-                }
-            }
-        }
-    }
-}
-
-impl Sum<'_> {
-    /// Returns what the sums of a block start from.
-    #[inline(always)]
-    fn start<S: Simd, const R: usize>(self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS] {
-        let mut sums = [[simd.splat_f64s(0.0); R]; COLUMNS];
-        if let Some(Piece { entries, stride, first_row }) = self.start {
-            for (lane, sums) in sums.iter_mut().enumerate() {
-                if lane < columns.len() {
-                    let start = (columns.start + lane) * stride + first - first_row;
-                    let (entries, _) = S::as_simd_f64s(&entries[start..start + R * S::F64_LANES]);
-                    for (sum, entry) in sums.iter_mut().zip(entries) {
-                        *sum = *entry;
+            let mut sums = left.add_to::<S, R>(simd, first, runs, values, self.start.sums(simd, first, &columns));
+            if factor != 1.0 {
+                let factor = simd.splat_f64s(factor);
+                for sums in &mut sums {
+                    for sum in sums {
+                        *sum = simd.mul_f64s(factor, *sum); // a closure would not get the instructions of the processor
                     }
                 }
             }
-        }
-        sums
-    }
-
-    /// Multiplies by the factor.
-    #[inline(always)]
-    fn finish<S: Simd, const R: usize>(self, simd: S, sums: &mut [[S::f64s; R]; COLUMNS]) {
-        let factor = simd.splat_f64s(self.factor);
-        for sums in sums {
-            for sum in sums {
-                *sum = simd.mul_f64s(factor, *sum); // a closure would not get the instructions of the processor
-            }
+            self.keep.keep(before, rows.clone(), target, &sums);
         }
     }
 }

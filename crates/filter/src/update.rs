@@ -11,6 +11,7 @@ use crate::dense::{
 use crate::error::FilterError;
 use crate::model::ObservationModel;
 use crate::product::{Left, Multiplier, Piece, Right, Sum};
+use crate::small;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -152,6 +153,40 @@ pub(crate) fn correct(
     let Workspace { factor, whitened, right, multiplier, .. } = work;
     solve_lower_of_rows_mut(multiplier.arch(), factor, p_ht.as_mut_slice()); // Vᵀ = P Hᵀ L⁻ᵀ
     mean.gemv(1.0, p_ht, whitened, 1.0); // y ← y + Vᵀ ν̃                            (2.68)
+    if covariance.nrows() <= small::MOST_ROWS && spread.is_none() {
+        small::subtract_outer_to(multiplier.arch(), covariance, p_ht, corrected); // Σ = P − Vᵀ V      (2.70)
+    } else {
+        subtract_by_strips(covariance, spread, p_ht, corrected, right, *multiplier);
+    }
+    let Some(JosephWorkspace { gain_transposed, h_x, noise_gain }) = &mut work.joseph else {
+        return;
+    };
+    gain_transposed.tr_copy_from(p_ht);
+    solve_lower_transposed_mut(&work.factor, gain_transposed.as_mut_slice()); // Gᵀ = L⁻ᵀ V
+    model.observation_jacobian_mul(corrected, h_x); // H X with X = (I − GH) P
+    noise_gain.gemm_tr(1.0, sensors, gain_transposed, 0.0); // Σ_n Gᵀ, because Σ_n is symmetric
+    let n = corrected.nrows();
+    for j in 0..n {
+        let noise = noise_gain.column(j);
+        let right = gain_transposed.column(j);
+        for i in 0..n {
+            // X − X Hᵀ Gᵀ + G Σ_n Gᵀ
+            let product = h_x.column(i).dot(&right);
+            corrected[(i, j)] += gain_transposed.column(i).dot(&noise) - product;
+        }
+    }
+    crate::dense::symmetrise_mut(corrected);
+}
+
+/// Writes `Σ = P + λ B Σ_f Bᵀ − Vᵀ V` into `corrected`, equation (2.70); `p_ht` has become `Vᵀ` (n × N_0).
+fn subtract_by_strips(
+    covariance: &DMatrix<f64>,
+    spread: Option<ExcitationSpread<'_>>,
+    p_ht: &DMatrix<f64>,
+    corrected: &mut DMatrix<f64>,
+    right: &mut Right,
+    multiplier: Multiplier,
+) {
     let (n, channels) = p_ht.shape();
     let inputs = spread.map_or(0, |spread| spread.input.ncols());
     let of_group = |_: Range<usize>, runs: &mut Vec<Range<usize>>| {
@@ -171,25 +206,7 @@ pub(crate) fn correct(
     let v_transposed = Piece::new(p_ht);
     let left = Left::joined(v_transposed, channels, spread.map_or(v_transposed, |spread| Piece::new(spread.scaled)));
     let sum = Sum { factor: 1.0, start: Some(Piece::new(covariance)) };
-    multiplier.multiply_symmetric_to(left, right, sum, corrected); // Σ = P + λ B Σ_f Bᵀ − Vᵀ V    (2.70)
-    let Some(JosephWorkspace { gain_transposed, h_x, noise_gain }) = &mut work.joseph else {
-        return;
-    };
-    gain_transposed.tr_copy_from(p_ht);
-    solve_lower_transposed_mut(&work.factor, gain_transposed.as_mut_slice()); // Gᵀ = L⁻ᵀ V
-    model.observation_jacobian_mul(corrected, h_x); // H X with X = (I − GH) P
-    noise_gain.gemm_tr(1.0, sensors, gain_transposed, 0.0); // Σ_n Gᵀ, because Σ_n is symmetric
-    let n = corrected.nrows();
-    for j in 0..n {
-        let noise = noise_gain.column(j);
-        let right = gain_transposed.column(j);
-        for i in 0..n {
-            // X − X Hᵀ Gᵀ + G Σ_n Gᵀ
-            let product = h_x.column(i).dot(&right);
-            corrected[(i, j)] += gain_transposed.column(i).dot(&noise) - product;
-        }
-    }
-    crate::dense::symmetrise_mut(corrected);
+    multiplier.multiply_symmetric_to(left, right, sum, corrected);
 }
 
 /// What the update says of the unknown excitation of the frame's own instant, for models with a direct term.

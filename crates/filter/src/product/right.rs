@@ -12,8 +12,8 @@ pub(crate) struct Right {
     pub(super) columns: usize,
     /// Runs of rows of all groups of [`COLUMNS`] columns.
     pub(super) runs: Vec<Range<usize>>,
-    /// Where the runs of a group end.
-    pub(super) ends: Vec<usize>,
+    /// Where the runs of a group end, and its values.
+    pub(super) ends: Vec<(usize, usize)>,
     /// A row of a group, run after run.
     pub(super) values: Vec<[f64; COLUMNS]>,
 }
@@ -94,9 +94,12 @@ impl Right {
         write: impl FnMut(&Range<usize>, &Range<usize>, &mut [[f64; COLUMNS]]),
     ) {
         self.clear(columns);
-        for columns in groups(columns) {
+        let mut values = 0;
+        for columns in column_groups(columns) {
+            let first = self.runs.len();
             of_group(columns, &mut self.runs);
-            self.ends.push(self.runs.len());
+            values += self.runs[first..].iter().map(Range::len).sum::<usize>();
+            self.ends.push((self.runs.len(), values));
         }
         self.repack_with(write);
     }
@@ -104,9 +107,9 @@ impl Right {
     /// Does so with the runs of rows of the last time.
     pub(crate) fn repack_with(&mut self, mut write: impl FnMut(&Range<usize>, &Range<usize>, &mut [[f64; COLUMNS]])) {
         self.values.clear();
-        self.values.resize(self.runs.iter().map(Range::len).sum(), [0.0; COLUMNS]);
+        self.values.resize(self.ends.last().map_or(0, |(_, end)| *end), [0.0; COLUMNS]);
         let (mut start, mut values) = (0, self.values.as_mut_slice());
-        for (columns, end) in groups(self.columns).zip(&self.ends) {
+        for (columns, (end, _)) in column_groups(self.columns).zip(&self.ends) {
             for run in &self.runs[start..*end] {
                 let (of_run, rest) = values.split_at_mut(run.len());
                 write(&columns, run, of_run);
@@ -135,6 +138,7 @@ impl Right {
 }
 
 /// Returns the columns of each group.
-pub(super) fn groups(columns: usize) -> impl Iterator<Item = Range<usize>> {
+#[inline(always)]
+fn column_groups(columns: usize) -> impl Iterator<Item = Range<usize>> {
     (0..columns).step_by(COLUMNS).map(move |first| first..(first + COLUMNS).min(columns))
 }

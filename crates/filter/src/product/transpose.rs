@@ -20,9 +20,14 @@ impl Target<'_> {
         columns: Range<usize>,
         block: &[[F; R]; COLUMNS],
     ) {
-        for (column, entries) in columns.zip(block) {
-            let (place, entries) = (column * self.stride + first, cast_slice::<F, f64>(entries));
-            self.entries[place..place + entries.len()].copy_from_slice(entries);
+        let mut rest = &mut self.entries[columns.start * self.stride + first..];
+        for (lane, entries) in block.iter().enumerate() {
+            let entries = cast_slice::<F, f64>(entries);
+            rest[..entries.len()].copy_from_slice(entries);
+            if lane + 1 >= columns.len() {
+                break;
+            }
+            rest = &mut rest[self.stride..];
         }
     }
 
@@ -40,23 +45,22 @@ impl Target<'_> {
         for (to, (((a, b), c), d)) in turned.iter_mut().zip(a.iter().zip(b).zip(c).zip(d)) {
             *to = [*a, *b, *c, *d];
         }
-        let first = rows.start * self.stride + columns.start;
-        let last = first + (rows.len() - 1) * self.stride;
-        let (before, last_row) = self.entries.split_at_mut(last);
+        let mut rest = &mut self.entries[rows.start * self.stride + columns.start..];
         let (turned, of_last) = turned[..rows.len()].split_at(rows.len() - 1);
-        let rows = before[first..].chunks_exact_mut(self.stride).zip(turned);
         if columns.len() == COLUMNS {
-            for (to, turned) in rows {
-                to[..COLUMNS].copy_from_slice(turned);
+            for turned in turned {
+                rest[..COLUMNS].copy_from_slice(turned);
+                rest = &mut rest[self.stride..];
             }
         } else {
-            for (to, turned) in rows {
-                for (entry, value) in to[..columns.len()].iter_mut().zip(turned) {
+            for turned in turned {
+                for (entry, value) in rest[..columns.len()].iter_mut().zip(turned) {
                     *entry = *value;
                 }
+                rest = &mut rest[self.stride..];
             }
         }
-        for (entry, value) in last_row[..columns.len()].iter_mut().zip(of_last.iter().flatten()) {
+        for (entry, value) in rest[..columns.len()].iter_mut().zip(of_last.iter().flatten()) {
             *entry = *value;
         }
     }
@@ -79,34 +83,28 @@ impl WithSimd for Mirror<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Self { rows: Range { start, end }, entries, stride } = self;
-        let whole = start + (end - start) / TILE * TILE;
-        for row in (start + TILE..whole).step_by(TILE) {
-            // the columns before `row` hold what is copied, the others receive it
-            let (known, wanted) = entries.split_at_mut(row * stride);
-            for column in (start..row).step_by(TILE) {
-                transpose_tile(&known[column * stride + row..], &mut wanted[column..], stride);
+        let mut column = start;
+        while column + TILE < end {
+            // the columns before `below` hold what is copied, the others receive it
+            let below = column + TILE;
+            let (known, mut wanted) = entries.split_at_mut(below * stride);
+            let known = &known[column * stride..];
+            let rows = |index: usize| &known[index * stride + below..index * stride + end];
+            let (a, b, c, d) = (rows(0), rows(1), rows(2), rows(3));
+            let last = end - below - 1;
+            for (row, (((a, b), c), d)) in a.iter().zip(b).zip(c).zip(d).enumerate() {
+                wanted[column..below].copy_from_slice(&[*a, *b, *c, *d]);
+                if row < last {
+                    wanted = &mut wanted[stride..];
+                }
             }
+            column = below;
         }
-        // on the diagonal, and below the last whole tile
+        // the tiles on the diagonal
         for row in start..end {
-            let first = if row < whole { start + (row - start) / TILE * TILE } else { start };
-            for column in first..row {
+            for column in start + (row - start) / TILE * TILE..row {
                 entries[row * stride + column] = entries[column * stride + row];
             }
-        }
-    }
-}
-
-/// Copies the transpose of a tile: `from` and `to` begin at its first entry, columns `stride` apart.
-#[inline(always)]
-fn transpose_tile(from: &[f64], to: &mut [f64], stride: usize) {
-    let column = |index: usize| from.get(index * stride..)?.first_chunk::<TILE>().copied();
-    let (Some(a), Some(b), Some(c), Some(d)) = (column(0), column(1), column(2), column(3)) else {
-        return;
-    };
-    for row in 0..TILE {
-        if let Some(to) = to.get_mut(row * stride..).and_then(<[f64]>::first_chunk_mut::<TILE>) {
-            *to = [a[row], b[row], c[row], d[row]];
         }
     }
 }

@@ -8,6 +8,33 @@ const LARGEST_LOSS: f64 = 1e-16;
 /// Largest degree of the polynomials, a multiple of the powers that are made beforehand, not below the longest series.
 pub(super) const LARGEST_DEGREE: usize = 44;
 
+/// `1/k`: divisions would take longer than all else of a series.
+const RECIPROCALS: [f64; LARGEST_DEGREE + 3] = {
+    let mut reciprocals = [0.0; LARGEST_DEGREE + 3];
+    let mut k = 1;
+    while k < reciprocals.len() {
+        reciprocals[k] = 1.0 / k as f64;
+        k += 1;
+    }
+    reciprocals
+};
+
+/// For each degree n and k < n, by what the coefficient k of a Chebyshev polynomial on an interval of length 1 follows from that of
+/// k + 1: `(k + 1)(2k + 1) / 2(n² − k²)`, without its sign.
+static CHEBYSHEV_RATIOS: [[f64; LARGEST_DEGREE]; LARGEST_DEGREE + 1] = {
+    let mut ratios = [[0.0; LARGEST_DEGREE]; LARGEST_DEGREE + 1];
+    let mut n = 1;
+    while n <= LARGEST_DEGREE {
+        let mut k = 0;
+        while k < n {
+            ratios[n][k] = ((k + 1) * (2 * k + 1)) as f64 / (2 * (n * n - k * k)) as f64;
+            k += 1;
+        }
+        n += 1;
+    }
+    ratios
+};
+
 /// `c_0 + c_1 z + …` for numbers `z = −g h²`.
 #[derive(Debug, Clone)]
 pub(super) struct Polynomial {
@@ -47,19 +74,18 @@ impl Polynomials {
     pub(super) fn new([rest, slope]: [f64; 2], reach: f64, range: f64) -> Self {
         let [mut impulse, mut step, mut velocity, mut ramp] = std::array::from_fn(|_| Polynomial::zero());
         let zero = [0.0; LARGEST_DEGREE + 1];
-        let (mut before, mut term) = (zero, zero); // d_0, d_1
+        let (mut before, mut term) = (zero, zero); // d_0 / 0!, d_1 / 1!
         term[0] = 1.0;
-        let mut factorial = 1.0;
         let order = Series::choose(reach, 1.0).order;
         for k in 1..=order {
-            factorial *= k as f64;
+            let [by_k, by_next, by_second] = [k, k + 1, k + 2].map(|divisor| RECIPROCALS[divisor]);
             let mut next = zero;
             for j in 0..k {
-                impulse.coefficients[j] += term[j] / factorial;
-                step.coefficients[j] += term[j] / factorial / (k + 1) as f64;
-                ramp.coefficients[j] += term[j] / factorial / ((k + 1) * (k + 2)) as f64;
-                next[j] += rest * term[j];
-                next[j + 1] += slope * term[j] + before[j];
+                impulse.coefficients[j] += term[j];
+                step.coefficients[j] += term[j] * by_next;
+                ramp.coefficients[j] += term[j] * (by_next * by_second);
+                next[j] += rest * by_next * term[j];
+                next[j + 1] += by_next * (slope * term[j] + by_k * before[j]);
             }
             (before, term) = (term, next);
         }
@@ -94,9 +120,9 @@ pub(super) fn economise_mut(coefficients: &mut [f64], degree: usize, range: f64)
         }
         // of the Chebyshev polynomial, from its highest coefficient to its lowest
         let mut entry = std::mem::take(&mut coefficients[n]);
-        for k in (0..n).rev() {
-            entry *= range * ((k + 1) * (2 * k + 1)) as f64 / (2 * (n * n - k * k)) as f64;
-            coefficients[k] -= entry;
+        for (coefficient, ratio) in coefficients[..n].iter_mut().zip(&CHEBYSHEV_RATIOS[n][..n]).rev() {
+            entry *= range * ratio;
+            *coefficient -= entry;
         }
     }
     0

@@ -24,6 +24,8 @@ pub(super) struct Point {
     rate_by_theta: Vec<(usize, Vec<f64>)>,
     /// `θ` (N_θ).
     pub(super) theta: Vec<f64>,
+    /// What depends on `θ` alone has been made: without parameters once.
+    is_scaled: bool,
     pub(super) alpha_per_s: f64,
     pub(super) beta_s: f64,
     /// Values of `K(θ)` (N/m).
@@ -62,6 +64,7 @@ impl Point {
             slopes: fixed.hysteresis.map_or(Vec::new(), |law| vec![law.slopes(0.0, 0.0); free]),
             rate_by_theta: hysteretic.map(|(index, _)| (index, zeros())).collect(),
             theta: vec![1.0; parameters],
+            is_scaled: false,
             alpha_per_s: fixed.alpha_per_s,
             beta_s: fixed.beta_s,
             stiffness: vec![0.0; fixed.assembly.entry_count()],
@@ -82,9 +85,12 @@ impl Point {
         let free = fixed.assembly.len();
         self.displacement.copy_from_slice(&state[..free]);
         self.velocity.copy_from_slice(&state[free..2 * free]);
-        self.theta.copy_from_slice(&state[2 * free..]);
         fixed.drive_to(&self.velocity, &mut self.driving);
-        self.scale(fixed);
+        if !self.is_scaled || self.theta != state[2 * free..] {
+            self.theta.copy_from_slice(&state[2 * free..]);
+            self.scale(fixed);
+            self.is_scaled = true;
+        }
         self.move_springs(fixed);
         self.accelerate(fixed, excitation);
         self.differentiate(fixed);
