@@ -53,9 +53,6 @@ pub(crate) fn solve_lower_mut(factor: &DMatrix<f64>, columns: &mut [f64]) {
     }
 }
 
-/// Rows of a matrix that are solved for together: they stay in the nearest memory.
-const ROWS: usize = 64;
-
 /// Replaces every row `b` (in a column-major slice) by `L⁻¹ b`.
 pub(crate) fn solve_lower_of_rows_mut(arch: Arch, factor: &DMatrix<f64>, columns: &mut [f64]) {
     arch.dispatch(SolveLowerOfRows { factor, columns });
@@ -70,28 +67,60 @@ impl WithSimd for SolveLowerOfRows<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let Self { factor, columns } = self;
-        let m = factor.nrows();
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let m = self.factor.nrows();
         if m == 0 {
             return;
         }
-        let rows = columns.len() / m;
-        for first in (0..rows).step_by(ROWS) {
-            let end = (first + ROWS).min(rows);
-            for i in 0..m {
-                let (solved, rest) = columns.split_at_mut(i * rows);
-                let entries = &mut rest[first..end];
-                for k in 0..i {
-                    let weight = factor[(i, k)];
-                    for (entry, known) in entries.iter_mut().zip(&solved[k * rows + first..k * rows + end]) {
-                        *entry -= weight * known;
-                    }
+        let (rows, lanes) = (self.columns.len() / m, S::F64_LANES);
+        let mut first = 0;
+        while first < rows {
+            match (rows - first) / lanes {
+                0 => {
+                    self.rows::<pulp::Scalar, 1>(pulp::Scalar, first);
+                    first += 1;
                 }
-                let reciprocal = 1.0 / factor[(i, i)];
-                for entry in entries {
-                    *entry *= reciprocal;
+                1 => {
+                    self.rows::<S, 1>(simd, first);
+                    first += lanes;
                 }
+                2 | 3 => {
+                    self.rows::<S, 2>(simd, first);
+                    first += 2 * lanes;
+                }
+                _ => {
+                    self.rows::<S, 4>(simd, first);
+                    first += 4 * lanes;
+                }
+            }
+        }
+    }
+}
+
+impl SolveLowerOfRows<'_> {
+    /// Solves for `R` registers of rows from row `first` on: what is known of them stays in the nearest memory.
+    #[inline(always)]
+    fn rows<S: Simd, const R: usize>(&mut self, simd: S, first: usize) {
+        let Self { factor, columns } = self;
+        let (m, length) = (factor.nrows(), R * S::F64_LANES);
+        let stride = columns.len() / m;
+        for i in 0..m {
+            let (solved, rest) = columns.split_at_mut(i * stride);
+            let (entries, _) = S::as_mut_simd_f64s(&mut rest[first..first + length]);
+            let mut sums = [simd.splat_f64s(0.0); R];
+            for (sum, entry) in sums.iter_mut().zip(&*entries) {
+                *sum = *entry;
+            }
+            for k in 0..i {
+                let weight = simd.splat_f64s(-factor[(i, k)]);
+                let (known, _) = S::as_simd_f64s(&solved[k * stride + first..k * stride + first + length]);
+                for (sum, known) in sums.iter_mut().zip(known) {
+                    *sum = simd.mul_add_e_f64s(weight, *known, *sum);
+                }
+            }
+            let reciprocal = simd.splat_f64s(1.0 / factor[(i, i)]);
+            for (entry, sum) in entries.iter_mut().zip(sums) {
+                *entry = simd.mul_f64s(reciprocal, sum);
             }
         }
     }

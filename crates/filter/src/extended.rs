@@ -477,7 +477,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let is_known = work.constant.is_some() && work.by_h_t.is_packed(); // H never changes
         if is_known || model.observation_matrix(&mut work.h_t) {
             if !is_known {
-                work.by_h_t.pack_sparse(&work.h_t);
+                work.by_h_t.repack_sparse(&work.h_t);
             }
             if work.mean.len() <= small::MOST_ROWS {
                 small::multiply_to(work.multiplier.arch(), &work.covariance, &work.h_t, &mut work.p_ht);

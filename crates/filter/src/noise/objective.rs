@@ -2,8 +2,9 @@
 
 use super::{NoiseModel, NoiseTarget};
 use crate::constant::NoiseSpread;
-use crate::dense::{add_scaled_mut, cholesky_mut, ln_determinant, solve_lower_mut};
+use crate::dense::{add_scaled_mut, cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut};
 use nalgebra::{DMatrix, DVector};
+use pulp::Arch;
 
 /// One frame as the noise parameters see it: an N_0 × N_0 problem, whatever the number of states.
 ///
@@ -26,6 +27,7 @@ pub(crate) struct Objective {
     pub(super) observed: DMatrix<f64>,
     pub(super) expected: DMatrix<f64>,
     pub(super) scratch: Scratch,
+    arch: Arch,
 }
 
 /// How the excitation of the coming step reaches the datum.
@@ -75,6 +77,7 @@ impl Objective {
                 candidate: vector(),
                 best: vector(),
             },
+            arch: Arch::new(),
         }
     }
 
@@ -181,9 +184,9 @@ impl Objective {
         for l in 0..count {
             let whitened = &mut self.whitened_patterns[l];
             whitened.copy_from(&self.patterns[l]);
-            solve_lower_mut(&self.factor, whitened.as_mut_slice()); // L⁻¹ U
+            solve_lower_of_rows_mut(self.arch, &self.factor, whitened.as_mut_slice()); // U L⁻ᵀ, because U is symmetric
             whitened.transpose_mut();
-            solve_lower_mut(&self.factor, whitened.as_mut_slice()); // L⁻¹ (L⁻¹ U)ᵀ = V
+            solve_lower_of_rows_mut(self.arch, &self.factor, whitened.as_mut_slice()); // L⁻¹ U L⁻ᵀ = V
             self.pattern_innovations[l].gemv(1.0, whitened, &self.whitened, 0.0);
             let trace = whitened.trace();
             let quadratic = self.whitened.dot(&self.pattern_innovations[l]);

@@ -69,6 +69,27 @@ impl Right {
         });
     }
 
+    /// Packs a matrix (k × c) that is likely to have its zeros where that of the last time had them.
+    pub(crate) fn repack_sparse(&mut self, matrix: &DMatrix<f64>) {
+        let entry_count = matrix.as_slice().iter().filter(|entry| **entry != 0.0).count();
+        let mut found = 0;
+        if self.is_packed() {
+            self.repack_with(|columns, run, values| {
+                for (lane, column) in columns.clone().enumerate() {
+                    let start = column * matrix.nrows();
+                    let entries = &matrix.as_slice()[start + run.start..start + run.end];
+                    for (values, entry) in values.iter_mut().zip(entries) {
+                        values[lane] = *entry;
+                        found += usize::from(*entry != 0.0);
+                    }
+                }
+            });
+        }
+        if found < entry_count {
+            self.pack_sparse(matrix); // one of the entries left out is not zero
+        }
+    }
+
     /// Packs a matrix (k × c) whose entries are zero outside the runs of rows, increasing, that `of_group` adds for some columns.
     pub(crate) fn pack_runs(
         &mut self,
@@ -101,13 +122,12 @@ impl Right {
             values += self.runs[first..].iter().map(Range::len).sum::<usize>();
             self.ends.push((self.runs.len(), values));
         }
+        self.values.resize(values, [0.0; COLUMNS]);
         self.repack_with(write);
     }
 
-    /// Does so with the runs of rows of the last time.
+    /// Does so with the runs of rows of the last time, and with what was there then.
     pub(crate) fn repack_with(&mut self, mut write: impl FnMut(&Range<usize>, &Range<usize>, &mut [[f64; COLUMNS]])) {
-        self.values.clear();
-        self.values.resize(self.ends.last().map_or(0, |(_, end)| *end), [0.0; COLUMNS]);
         let (mut start, mut values) = (0, self.values.as_mut_slice());
         for (columns, (end, _)) in column_groups(self.columns).zip(&self.ends) {
             for run in &self.runs[start..*end] {

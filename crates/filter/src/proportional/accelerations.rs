@@ -3,11 +3,12 @@
 //! With `ρ = (−G x + W θ) h²`, few terms each, `x ← x + h q̂ ẋ + ŝ ρ` and `ẋ ← (I − Gs − (α + βG) q) ẋ + q̂ ρ/h` are two bands a
 //! row in place of those of `[Φ, ΨW]`.
 
-use super::band::{Band, Evaluate};
+use super::band::{Band, Evaluate, Padded};
 use super::polynomials::{LARGEST_DEGREE, Polynomials};
 use super::{ProportionalForm, extend_by_reached, near};
+use crate::dense::add_scaled_slice_mut;
 use crate::product::{COLUMNS, Extent, Left, Multiplier, Piece, Product, Right, STRIP, Store, Sum, Target, strips};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use std::ops::Range;
 
 /// What a step through the accelerations needs.
@@ -28,13 +29,13 @@ pub(super) struct Accelerations {
     /// `[Z, 0, h² W]ᵀ` (n × N_d)
     by_state: Right,
     /// `[h q̂, ŝ]ᵀ` and `[I − Gs − (α + βG) q, q̂/h]ᵀ` (2N_d × N_d)
-    by_motion: [Right; 2],
+    by_motion: [PairOfBands; 2],
     /// `[Φ, ΨW] Σ` (2N_d × 2N_d)
     half_way: DMatrix<f64>,
     /// `ρ` of a strip of rows
     caused: DMatrix<f64>,
     /// scratch (N_d)
-    columns: [DVector<f64>; 4],
+    columns: [Padded; 5],
     multiplier: Multiplier,
 }
 
@@ -44,7 +45,6 @@ impl Accelerations {
         let (free, parameters) = form.acceleration_by_theta.shape();
         let (n, margin) = (2 * free + parameters, form.half_bandwidth);
         let band = |degree: usize| Band::new(free, degree * form.half_bandwidth, margin);
-        let by_motion = || Right::new(2 * free, free, 2);
         Self {
             step_s: 0.0,
             z: band(1),
@@ -55,10 +55,10 @@ impl Accelerations {
             by_theta: DMatrix::zeros(free, parameters),
             reach: form.reach.to_vec(),
             by_state: Right::new(n, free, 1 + parameters.div_ceil(2)),
-            by_motion: [by_motion(), by_motion()],
+            by_motion: [PairOfBands::new(free), PairOfBands::new(free)],
             half_way: DMatrix::zeros(2 * free, 2 * free),
             caused: DMatrix::zeros(STRIP, free),
-            columns: std::array::from_fn(|_| DVector::zeros(free)),
+            columns: std::array::from_fn(|_| Padded::new(free, LARGEST_DEGREE * form.half_bandwidth)),
             multiplier,
         }
     }
@@ -127,8 +127,8 @@ impl Accelerations {
             }
         });
         let [of_x, of_v] = &mut self.by_motion;
-        pack_pair(of_x, [(impulse, h), (step, 1.0)]);
-        pack_pair(of_v, [(velocity, 1.0), (impulse, 1.0 / h)]);
+        of_x.pack([(impulse, h), (step, 1.0)]);
+        of_v.pack([(velocity, 1.0), (impulse, 1.0 / h)]);
     }
 
     /// Replaces `[g, B_y]` (n × (1 + N_f)) by `[Γ g + Γ₂ ramp, Γ B_y]`; the parameters at their ends stay zero.
@@ -141,46 +141,48 @@ impl Accelerations {
         inputs: &mut DMatrix<f64>,
         slope: Option<&[f64]>,
     ) {
-        let Self { step_s: h, z, impulse, step, columns: [pushed, turned, moved, by_step], .. } = self;
+        let Self { step_s: h, z, impulse, step, columns: [x, pushed, turned, moved, by_step], .. } = self;
         let arch = self.multiplier.arch();
-        let free = pushed.len();
+        let free = step.len();
         for mut column in inputs.column_iter_mut() {
             let (velocity, rest_of_column) = column.as_mut_slice().split_at_mut(free);
             let acceleration = &mut rest_of_column[..free];
             let is_at_rest = velocity.iter().all(|entry| *entry == 0.0); // excitations move accelerations alone
             if is_at_rest {
-                turned.fill(0.0);
+                turned.as_mut_slice().fill(0.0);
             } else {
-                step.mul_to(arch, velocity, pushed.as_mut_slice());
-                z.mul_to(arch, pushed.as_slice(), turned.as_mut_slice()); // −G s ẋ
-                impulse.mul_to(arch, velocity, moved.as_mut_slice());
-                for (row, entry) in velocity.iter_mut().enumerate() {
-                    *entry = *h * (moved[row] - rest * pushed[row] - slope_of_z * turned[row]); // (q + (α + βG) s) ẋ
+                x.copy_from(velocity);
+                step.mul_to(arch, x, pushed);
+                z.mul_to(arch, pushed, turned); // −G s ẋ
+                impulse.mul_to(arch, x, moved);
+                let terms = moved.as_slice().iter().zip(pushed.as_slice()).zip(turned.as_slice());
+                for (entry, ((moved, pushed), turned)) in velocity.iter_mut().zip(terms) {
+                    *entry = *h * (moved - rest * pushed - slope_of_z * turned); // (q + (α + βG) s) ẋ
                 }
             }
-            step.mul_to(arch, acceleration, by_step.as_mut_slice());
-            impulse.mul_to(arch, acceleration, moved.as_mut_slice());
-            for row in 0..free {
-                velocity[row] += *h * *h * by_step[row]; // + s ẍ
-                acceleration[row] = turned[row] + *h * moved[row]; // −G s ẋ + q ẍ
+            x.copy_from(acceleration);
+            step.mul_to(arch, x, by_step);
+            impulse.mul_to(arch, x, moved);
+            add_scaled_slice_mut(velocity, *h * *h, by_step.as_slice()); // + s ẍ
+            for (entry, (turned, moved)) in acceleration.iter_mut().zip(turned.as_slice().iter().zip(moved.as_slice()))
+            {
+                *entry = turned + *h * moved; // −G s ẋ + q ẍ
             }
         }
         if let Some(slope) = slope {
             // the integral of s, by Horner's rule
-            moved.fill(0.0);
+            moved.as_mut_slice().fill(0.0);
             for coefficient in polynomials.ramp.coefficients[..=polynomials.ramp.degree].iter().rev() {
-                z.mul_to(arch, moved.as_slice(), turned.as_mut_slice());
+                z.mul_to(arch, moved, turned);
                 std::mem::swap(moved, turned);
-                for (entry, slope) in moved.iter_mut().zip(slope) {
-                    *entry += coefficient * slope;
-                }
+                add_scaled_slice_mut(moved.as_mut_slice(), *coefficient, slope);
             }
-            step.mul_to(arch, slope, by_step.as_mut_slice());
+            x.copy_from(slope);
+            step.mul_to(arch, x, by_step);
             let mut increment = inputs.column_mut(0);
-            for row in 0..free {
-                increment[row] += h.powi(3) * moved[row];
-                increment[free + row] += *h * *h * by_step[row];
-            }
+            let (velocity, acceleration) = increment.as_mut_slice().split_at_mut(free);
+            add_scaled_slice_mut(velocity, h.powi(3), moved.as_slice());
+            add_scaled_slice_mut(acceleration, *h * *h, by_step.as_slice());
         }
     }
 
@@ -225,27 +227,27 @@ impl Accelerations {
     }
 
     /// Replaces `X` (n × c) by `A_i X`.
-    pub(super) fn mul_mut(&mut self, x: &mut DMatrix<f64>) {
-        let Self { step_s: h, z, impulse, step, velocity, by_theta, columns: [caused, term, other, _], .. } = self;
+    pub(super) fn mul_mut(&mut self, columns: &mut DMatrix<f64>) {
+        let Self { step_s: h, z, impulse, step, velocity, by_theta, columns: [x, caused, term, other, _], .. } = self;
         let arch = self.multiplier.arch();
-        let free = caused.len();
-        for mut column in x.column_iter_mut() {
+        let free = step.len();
+        for mut column in columns.column_iter_mut() {
             let (displacements, rest) = column.as_mut_slice().split_at_mut(free);
             let (velocities, parameters) = rest.split_at_mut(free);
-            z.mul_to(arch, displacements, caused.as_mut_slice());
+            x.copy_from(displacements);
+            z.mul_to(arch, x, caused);
             for (by_theta, theta) in by_theta.as_slice().chunks_exact(free).zip(parameters) {
-                for (entry, by_theta) in caused.iter_mut().zip(by_theta) {
-                    *entry += by_theta * *theta;
-                }
+                add_scaled_slice_mut(caused.as_mut_slice(), *theta, by_theta);
             }
-            impulse.mul_to(arch, velocities, term.as_mut_slice());
-            step.mul_to(arch, caused.as_slice(), other.as_mut_slice());
-            for (entry, (term, other)) in displacements.iter_mut().zip(term.iter().zip(other.iter())) {
+            x.copy_from(velocities);
+            impulse.mul_to(arch, x, term);
+            step.mul_to(arch, caused, other);
+            for (entry, (term, other)) in displacements.iter_mut().zip(term.as_slice().iter().zip(other.as_slice())) {
                 *entry += *h * term + other; // x + h q̂ ẋ + ŝ ρ
             }
-            velocity.mul_to(arch, velocities, term.as_mut_slice());
-            impulse.mul_to(arch, caused.as_slice(), other.as_mut_slice());
-            for (entry, (term, other)) in velocities.iter_mut().zip(term.iter().zip(other.iter())) {
+            velocity.mul_to(arch, x, term);
+            impulse.mul_to(arch, caused, other);
+            for (entry, (term, other)) in velocities.iter_mut().zip(term.as_slice().iter().zip(other.as_slice())) {
                 *entry = term + other / *h;
             }
         }
@@ -255,7 +257,7 @@ impl Accelerations {
 /// What moves some rows of a matrix `X` (m × n) to those of `X [Φ, ΨW]ᵀ`.
 struct Strip<'m> {
     by_state: &'m Right,
-    by_motion: &'m [Right; 2],
+    by_motion: &'m [PairOfBands; 2],
     caused: &'m mut DMatrix<f64>,
     multiplier: Multiplier,
 }
@@ -292,25 +294,42 @@ impl Strip<'_> {
             Half::Displacements(start) => (of_x, 0, Some(start)),
             Half::Velocities => (of_v, free, None),
         };
+        let right = &right.right;
         self.multiplier.run(Product { left, rows, right, first_column, extent, sum: Sum { factor, start }, store });
     }
 }
 
-/// Packs the transposes of two bands, each times a number, one below the other.
-fn pack_pair(right: &mut Right, bands: [(&Band, f64); 2]) {
-    let [(first, _), (second, _)] = bands;
-    let n = first.len();
-    right.pack_with(
-        n,
-        |columns, runs| {
-            runs.push(near(&columns, first.half_bandwidth(), n));
-            let of_second = near(&columns, second.half_bandwidth(), n);
-            runs.push(n + of_second.start..n + of_second.end);
-        },
-        |columns, run, values| {
+/// The transposes of two bands, each times a number, one below the other.
+#[derive(Debug, Clone)]
+struct PairOfBands {
+    right: Right,
+    half_bandwidths: [usize; 2],
+}
+
+impl PairOfBands {
+    fn new(free: usize) -> Self {
+        Self { right: Right::new(2 * free, free, 2), half_bandwidths: [0; 2] }
+    }
+
+    fn pack(&mut self, bands: [(&Band, f64); 2]) {
+        let [(first, _), (second, _)] = bands;
+        let n = first.len();
+        let write = |columns: &Range<usize>, run: &Range<usize>, values: &mut [[f64; COLUMNS]]| {
             let [first, second] = bands;
             let ((band, factor), skipped) = if run.start < n { (first, 0) } else { (second, n) };
             band.transpose_to(factor, columns, &(run.start - skipped..run.end - skipped), values);
-        },
-    );
+        };
+        let half_bandwidths = [first, second].map(Band::half_bandwidth);
+        if self.right.is_packed() && self.half_bandwidths == half_bandwidths {
+            self.right.repack_with(write); // what is outside the bands is zero from the last time
+            return;
+        }
+        self.half_bandwidths = half_bandwidths;
+        let of_group = |columns: Range<usize>, runs: &mut Vec<Range<usize>>| {
+            runs.push(near(&columns, first.half_bandwidth(), n));
+            let of_second = near(&columns, second.half_bandwidth(), n);
+            runs.push(n + of_second.start..n + of_second.end);
+        };
+        self.right.pack_with(n, of_group, write);
+    }
 }

@@ -3,6 +3,7 @@
 use super::polynomials::Polynomial;
 use crate::product::{COLUMNS, MOST_LANES};
 use nalgebra::DMatrix;
+use pulp::bytemuck::cast_slice;
 use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
 
@@ -129,31 +130,87 @@ impl Band {
     }
 
     /// Writes the product with a vector (N).
-    pub(super) fn mul_to(&self, arch: Arch, x: &[f64], out: &mut [f64]) {
+    pub(super) fn mul_to(&self, arch: Arch, x: &Padded, out: &mut Padded) {
         arch.dispatch(MulTo { band: self, x, out });
     }
 }
 
+/// A vector (N) that bands multiply, with zeros before it and after it.
+#[derive(Debug, Clone)]
+pub(super) struct Padded {
+    n: usize,
+    /// As many zeros as a band may have diagonals on one side.
+    margin: usize,
+    entries: Vec<f64>,
+}
+
+impl Padded {
+    /// Makes room for N entries that bands up to `margin` beside the diagonal multiply.
+    pub(super) fn new(n: usize, margin: usize) -> Self {
+        let margin = margin.min(n.saturating_sub(1));
+        Self { n, margin, entries: vec![0.0; n.next_multiple_of(ROWS) + 2 * margin] }
+    }
+
+    pub(super) fn copy_from(&mut self, x: &[f64]) {
+        self.as_mut_slice().copy_from_slice(x);
+    }
+
+    pub(super) fn as_slice(&self) -> &[f64] {
+        &self.entries[self.margin..self.margin + self.n]
+    }
+
+    pub(super) fn as_mut_slice(&mut self) -> &mut [f64] {
+        &mut self.entries[self.margin..self.margin + self.n]
+    }
+}
+
+/// Rows of a vector whose sums stay in registers.
+const ROWS: usize = 4 * MOST_LANES;
+
 struct MulTo<'m> {
     band: &'m Band,
-    x: &'m [f64],
-    out: &'m mut [f64],
+    x: &'m Padded,
+    out: &'m mut Padded,
 }
 
 impl WithSimd for MulTo<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let Self { band, x, out } = self;
-        out.fill(0.0);
-        for d in band.diagonals() {
-            let (skipped, ahead) = ((-d).max(0) as usize, d.max(0) as usize);
-            let entries = &band.diagonal(d, 0)[skipped..];
-            for ((out, entry), x) in out[skipped..].iter_mut().zip(entries).zip(&x[ahead..]) {
-                *out += entry * x;
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        for first in (0..self.band.padded).step_by(ROWS) {
+            match (self.band.padded - first) / S::F64_LANES {
+                1 => self.rows::<S, 1>(simd, first),
+                2 => self.rows::<S, 2>(simd, first),
+                3 => self.rows::<S, 3>(simd, first),
+                _ if S::F64_LANES == MOST_LANES => self.rows::<S, 4>(simd, first),
+                _ => {
+                    for first in (first..(first + ROWS).min(self.band.padded)).step_by(S::F64_LANES) {
+                        self.rows::<S, 1>(simd, first);
+                    }
+                }
             }
         }
+    }
+}
+
+impl MulTo<'_> {
+    /// Writes `R` registers of rows from row `first` on.
+    #[inline(always)]
+    fn rows<S: Simd, const R: usize>(&mut self, simd: S, first: usize) {
+        let Self { band, x, out } = self;
+        let length = R * S::F64_LANES;
+        let mut sums = [simd.splat_f64s(0.0); R];
+        for d in band.diagonals() {
+            let ahead = (x.margin as isize + d) as usize + first;
+            let (entries, _) = S::as_simd_f64s(&band.diagonal(d, 0)[first..first + length]);
+            let (x, _) = S::as_simd_f64s(&x.entries[ahead..ahead + length]);
+            for (sum, (entry, x)) in sums.iter_mut().zip(entries.iter().zip(x)) {
+                *sum = simd.mul_add_e_f64s(*entry, *x, *sum);
+            }
+        }
+        let last = (first + length).min(out.n);
+        out.as_mut_slice()[first..last].copy_from_slice(&cast_slice(&sums)[..last - first]);
     }
 }
 
