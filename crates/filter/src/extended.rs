@@ -19,7 +19,7 @@ use crate::fading::bound_variances_mut;
 use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::{ExcitationPath, NoiseEvents, NoisePhase, NoiseRule, NoiseState, NoiseTarget};
 use crate::outlier::OutlierState;
-use crate::product::{Extent, Left, Piece, Sum};
+use crate::product::{Extent, Left, Sum};
 use crate::proportional;
 use crate::small;
 use crate::update::{self, ExcitationPosterior, ExcitationSpread};
@@ -151,15 +151,14 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         update::correct(
             model,
             &mut work.mean,
-            &work.covariance,
+            &mut work.covariance,
             is_fresh.then_some(ExcitationSpread { input: &work.input_matrix, scaled: &work.input_spread }),
             &mut work.p_ht,
             &work.sensors,
-            &mut work.corrected,
             &mut work.update,
         );
         let limited_states = self.limit_state();
-        let bounded_variances = bound_variances_mut(&mut self.work.corrected, &self.settings.variance_bound);
+        let bounded_variances = bound_variances_mut(&mut self.work.covariance, &self.settings.variance_bound);
         self.check_result()?;
         self.commit(frame, evidence.normalised_innovation_squared);
         Ok(Step {
@@ -461,9 +460,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         work.swapped_pair.rows_mut(inputs, inputs).tr_copy_from(&work.cross);
         work.by_pair.pack(&work.swapped_pair);
         work.pair *= settings.fading.value();
-        let sum = Sum { factor: 1.0, start: Some(Piece::new(&work.covariance)) };
-        work.multiplier.multiply_symmetric_to(Left::new(&work.pair), &work.by_pair, sum, &mut work.corrected);
-        std::mem::swap(&mut work.covariance, &mut work.corrected);
+        work.multiplier.add_symmetric_mut(Left::new(&work.pair), &work.by_pair, &mut work.covariance);
     }
 
     /// Writes innovation, `S`, `P Hᵀ` and `P`; screens outliers and moves the noise parameters in between.
@@ -662,16 +659,16 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             if !work.mean[index].is_finite() {
                 return Err(FilterError::NotFinite { what: "mean of state", index });
             }
-            let variance = work.corrected[(index, index)];
+            let variance = work.covariance[(index, index)];
             if !variance.is_finite() {
                 return Err(FilterError::NotFinite { what: "variance of state", index });
             }
             if variance < 0.0 {
-                let largest = work.corrected.diagonal().max();
+                let largest = work.covariance.diagonal().max();
                 if variance < -ROUNDING * largest {
                     return Err(FilterError::NegativeVariance { index, variance });
                 }
-                work.corrected[(index, index)] = 0.0;
+                work.covariance[(index, index)] = 0.0;
             }
         }
         Ok(())
@@ -684,7 +681,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             update::infer_excitation(direct, &work.frame_excitation, &work.p_ht, &work.update, posterior);
         }
         state.mean.copy_from(&work.mean);
-        std::mem::swap(&mut state.covariance, &mut work.corrected);
+        std::mem::swap(&mut state.covariance, &mut work.covariance);
         let weight = 1.0 / (state.steps as f64 + 1.0).min(settings.fading.memory_steps());
         for j in 0..state.last_excitation.len() {
             let known = frame.excitation[j];

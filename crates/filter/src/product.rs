@@ -183,7 +183,7 @@ impl Multiplier {
     }
 
     fn sum(self, order: Order<'_>, start: impl Start, keep: impl Keep) {
-        self.0.dispatch(Strips { order, start, keep });
+        self.0.dispatch(Strips { order, place: Between { start, keep } });
     }
 
     /// Writes the product of `left` (m × k) and `right` (k × c) into the first columns of `out` (m rows).
@@ -216,6 +216,21 @@ impl Multiplier {
             let (extent, store) = (Extent::Before(rows.end), Store::Mirrored(Target::new(out)));
             self.run(Product { left, rows: rows.clone(), right, first_column: 0, extent, sum, store });
             self.mirror_square_mut(rows, &mut Target::new(out));
+        }
+    }
+
+    /// Adds a symmetric product of `left` (m × k) and `right` (k × m) to a symmetric matrix (m × m) in its place; both triangles
+    /// get the same bits.
+    pub(crate) fn add_symmetric_mut(self, left: Left<'_>, right: &Right, matrix: &mut DMatrix<f64>) {
+        let n = matrix.nrows();
+        let odd = n % MOST_LANES;
+        // no row may be summed twice: those that fill no register come first, one by one, where fewest columns stand before them
+        let whole = (odd..n).step_by(STRIP).map(|first| first..(first + STRIP).min(n));
+        for rows in (0..odd).map(|row| row..row + 1).chain(whole) {
+            let extent = Extent::Before(rows.end);
+            let order = Order { left, rows: rows.clone(), right, first_column: 0, extent, factor: 1.0 };
+            self.0.dispatch(Strips { order, place: InPlace(Mirrored(Target::new(matrix))) });
+            self.mirror_square_mut(rows, &mut Target::new(matrix));
         }
     }
 
@@ -359,13 +374,82 @@ impl Keep for Split<'_> {
     fn clear(&mut self, _: &Range<usize>, _: Range<usize>) {}
 }
 
-struct Strips<'m, B, K> {
-    order: Order<'m>,
+/// Where sums come from and go to.
+trait Place {
+    fn sums<S: Simd, const R: usize>(&self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS];
+
+    /// See [`Keep::keep`].
+    fn keep<F: Pod, const R: usize>(
+        &mut self,
+        before: usize,
+        rows: Range<usize>,
+        columns: Range<usize>,
+        block: &[[F; R]; COLUMNS],
+    );
+
+    fn clear(&mut self, rows: &Range<usize>, columns: Range<usize>);
+}
+
+/// From one place to another.
+struct Between<B, K> {
     start: B,
     keep: K,
 }
 
-impl<B: Start, K: Keep> WithSimd for Strips<'_, B, K> {
+impl<B: Start, K: Keep> Place for Between<B, K> {
+    #[inline(always)]
+    fn sums<S: Simd, const R: usize>(&self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS] {
+        self.start.sums::<S, R>(simd, first, columns)
+    }
+
+    #[inline(always)]
+    fn keep<F: Pod, const R: usize>(
+        &mut self,
+        before: usize,
+        rows: Range<usize>,
+        columns: Range<usize>,
+        block: &[[F; R]; COLUMNS],
+    ) {
+        self.keep.keep(before, rows, columns, block);
+    }
+
+    fn clear(&mut self, rows: &Range<usize>, columns: Range<usize>) {
+        self.keep.clear(rows, columns);
+    }
+}
+
+/// What is there is added to.
+struct InPlace<'m>(Mirrored<'m>);
+
+impl Place for InPlace<'_> {
+    #[inline(always)]
+    fn sums<S: Simd, const R: usize>(&self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS] {
+        let Target { entries, stride } = &self.0.0;
+        Piece { entries, stride: *stride, first_row: 0 }.sums::<S, R>(simd, first, columns)
+    }
+
+    #[inline(always)]
+    fn keep<F: Pod, const R: usize>(
+        &mut self,
+        before: usize,
+        rows: Range<usize>,
+        columns: Range<usize>,
+        block: &[[F; R]; COLUMNS],
+    ) {
+        self.0.keep(before, rows, columns, block);
+    }
+
+    fn clear(&mut self, rows: &Range<usize>, columns: Range<usize>) {
+        self.0.clear(rows, columns);
+    }
+}
+
+struct Strips<'m, P> {
+    order: Order<'m>,
+    place: P,
+}
+
+impl<P: Place> WithSimd for Strips<'_, P> {
     type Output = ();
 
     #[inline(always)]
@@ -396,7 +480,7 @@ impl<B: Start, K: Keep> WithSimd for Strips<'_, B, K> {
     }
 }
 
-impl<B: Start, K: Keep> Strips<'_, B, K> {
+impl<P: Place> Strips<'_, P> {
     /// Writes `R` registers of rows from row `first` on.
     #[inline(always)]
     fn strip<S: Simd, const R: usize>(&mut self, simd: S, first: usize) {
@@ -411,12 +495,13 @@ impl<B: Start, K: Keep> Strips<'_, B, K> {
             match extent {
                 Extent::Before(end) if target.start >= end => return,
                 Extent::Band(half) if rows.end + half <= target.start || target.end + half <= rows.start => {
-                    self.keep.clear(&rows, target);
+                    self.place.clear(&rows, target);
                     continue;
                 }
                 _ => {}
             }
-            let mut sums = left.add_to::<S, R>(simd, first, runs, values, self.start.sums(simd, first, &columns));
+            let mut sums =
+                left.add_to::<S, R>(simd, first, runs, values, self.place.sums::<S, R>(simd, first, &columns));
             if factor != 1.0 {
                 let factor = simd.splat_f64s(factor);
                 for sums in &mut sums {
@@ -425,7 +510,7 @@ impl<B: Start, K: Keep> Strips<'_, B, K> {
                     }
                 }
             }
-            self.keep.keep(before, rows.clone(), target, &sums);
+            self.place.keep(before, rows.clone(), target, &sums);
         }
     }
 }

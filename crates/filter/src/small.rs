@@ -159,24 +159,25 @@ fn keep<S: Simd, const R: usize, const C: usize>(sums: &[[S::f64s; R]; C], colum
     }
 }
 
-/// Writes `P − V Vᵀ` with symmetric `P` (n × n) and `V` (n × c) into `out`; both triangles get the same bits.
-pub(crate) fn subtract_outer_to(arch: Arch, p: &DMatrix<f64>, v: &DMatrix<f64>, out: &mut DMatrix<f64>) {
+/// Replaces a symmetric `P` (n × n) by `P − V Vᵀ`, with `V` (n × c); both triangles get the same bits.
+pub(crate) fn subtract_outer_mut(arch: Arch, p: &mut DMatrix<f64>, v: &DMatrix<f64>) {
     let n = p.nrows();
     // the same for both triangles, because factors commute
     let weight = |column: usize, k: usize| -v.as_slice()[k * n + column];
-    arch.dispatch(Combine { start: Some(p.as_slice()), left: v.as_slice(), weight, out: out.as_mut_slice(), n });
+    arch.dispatch(Combine { adds: true, left: v.as_slice(), weight, out: p.as_mut_slice(), n });
 }
 
 /// Writes `P X` with `P` (n × n) and `X` (n × c) into `out`.
 pub(crate) fn multiply_to(arch: Arch, p: &DMatrix<f64>, x: &DMatrix<f64>, out: &mut DMatrix<f64>) {
     let n = p.nrows();
     let weight = |column: usize, k: usize| x.as_slice()[column * n + k];
-    arch.dispatch(Combine { start: None, left: p.as_slice(), weight, out: out.as_mut_slice(), n });
+    arch.dispatch(Combine { adds: false, left: p.as_slice(), weight, out: out.as_mut_slice(), n });
 }
 
-/// Makes each column of `out` of that of `start` and all of `left`, by their weights.
+/// Makes each column of `out` of all of `left`, by their weights.
 struct Combine<'m, W> {
-    start: Option<&'m [f64]>,
+    /// to what is there already
+    adds: bool,
     left: &'m [f64],
     weight: W,
     out: &'m mut [f64],
@@ -203,16 +204,15 @@ impl<W: Fn(usize, usize) -> f64> Combine<'_, W> {
     /// With up to `R` registers for a column, the last one moved up until it is full: what is made twice has the same bits.
     #[inline(always)]
     fn run<S: Simd, const R: usize>(self, simd: S) {
-        let Self { start, left, weight, out, n } = self;
+        let Self { adds, left, weight, out, n } = self;
         let lanes = S::F64_LANES;
         let registers = n.div_ceil(lanes);
         for (column, out) in out.chunks_exact_mut(n).enumerate() {
             let mut sums = [simd.splat_f64s(0.0); R];
-            if let Some(start) = start {
-                let start = &start[column * n..(column + 1) * n];
+            if adds {
                 for (register, sum) in sums.iter_mut().enumerate().take(registers) {
                     let first = (register * lanes).min(n - lanes);
-                    *sum = S::as_simd_f64s(&start[first..first + lanes]).0[0];
+                    *sum = S::as_simd_f64s(&out[first..first + lanes]).0[0];
                 }
             }
             for (k, left) in left.chunks_exact(n).enumerate() {
@@ -261,8 +261,8 @@ mod tests {
             let (v, root) = (matrix(n, columns), matrix(n, n));
             let mut p = &root * root.transpose();
             p.fill_upper_triangle_with_lower_triangle();
-            let mut out = DMatrix::repeat(n, n, f64::NAN);
-            subtract_outer_to(Arch::new(), &p, &v, &mut out);
+            let mut out = p.clone();
+            subtract_outer_mut(Arch::new(), &mut out, &v);
             assert!((&out - (&p - &v * v.transpose())).amax() < 1e-13, "{n}");
             assert_eq!(out, out.transpose(), "{n}");
             let mut product = v.clone();

@@ -10,7 +10,7 @@ use crate::dense::{
 };
 use crate::error::FilterError;
 use crate::model::ObservationModel;
-use crate::product::{Left, Multiplier, Piece, Right, Sum};
+use crate::product::{Left, Multiplier, Piece, Right};
 use crate::small;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -135,55 +135,53 @@ pub(crate) struct ExcitationSpread<'a> {
     pub scaled: &'a DMatrix<f64>,
 }
 
-/// Corrects the mean (n); writes the corrected covariance (n × n).
+/// Corrects the mean (n) and the covariance (n × n).
 ///
-/// `covariance`: `P` (n × n) but for the `spread` of the excitation. `p_ht`: `P Hᵀ` (n × N_0), with it; becomes `Vᵀ`. `sensors`:
+/// `covariance`: `P` but for the `spread` of the excitation. `p_ht`: `P Hᵀ` (n × N_0), with it; becomes `Vᵀ`. `sensors`:
 /// `Σ_n`, used by the Joseph form only. Expects [`factorise`] to have run.
 #[expect(clippy::too_many_arguments, reason = "the terms of three equations")]
 pub(crate) fn correct(
     model: &impl ObservationModel,
     mean: &mut DVector<f64>,
-    covariance: &DMatrix<f64>,
+    covariance: &mut DMatrix<f64>,
     spread: Option<ExcitationSpread<'_>>,
     p_ht: &mut DMatrix<f64>,
     sensors: &DMatrix<f64>,
-    corrected: &mut DMatrix<f64>,
     work: &mut Workspace,
 ) {
     let Workspace { factor, whitened, right, multiplier, .. } = work;
     solve_lower_of_rows_mut(multiplier.arch(), factor, p_ht.as_mut_slice()); // Vᵀ = P Hᵀ L⁻ᵀ
     mean.gemv(1.0, p_ht, whitened, 1.0); // y ← y + Vᵀ ν̃                            (2.68)
     if covariance.nrows() <= small::MOST_ROWS && spread.is_none() {
-        small::subtract_outer_to(multiplier.arch(), covariance, p_ht, corrected); // Σ = P − Vᵀ V      (2.70)
+        small::subtract_outer_mut(multiplier.arch(), covariance, p_ht); // Σ = P − Vᵀ V      (2.70)
     } else {
-        subtract_by_strips(covariance, spread, p_ht, corrected, right, *multiplier);
+        subtract_by_strips(covariance, spread, p_ht, right, *multiplier);
     }
     let Some(JosephWorkspace { gain_transposed, h_x, noise_gain }) = &mut work.joseph else {
         return;
     };
     gain_transposed.tr_copy_from(p_ht);
     solve_lower_transposed_mut(&work.factor, gain_transposed.as_mut_slice()); // Gᵀ = L⁻ᵀ V
-    model.observation_jacobian_mul(corrected, h_x); // H X with X = (I − GH) P
+    model.observation_jacobian_mul(covariance, h_x); // H X with X = (I − GH) P
     noise_gain.gemm_tr(1.0, sensors, gain_transposed, 0.0); // Σ_n Gᵀ, because Σ_n is symmetric
-    let n = corrected.nrows();
+    let n = covariance.nrows();
     for j in 0..n {
         let noise = noise_gain.column(j);
         let right = gain_transposed.column(j);
         for i in 0..n {
             // X − X Hᵀ Gᵀ + G Σ_n Gᵀ
             let product = h_x.column(i).dot(&right);
-            corrected[(i, j)] += gain_transposed.column(i).dot(&noise) - product;
+            covariance[(i, j)] += gain_transposed.column(i).dot(&noise) - product;
         }
     }
-    crate::dense::symmetrise_mut(corrected);
+    crate::dense::symmetrise_mut(covariance);
 }
 
-/// Writes `Σ = P + λ B Σ_f Bᵀ − Vᵀ V` into `corrected`, equation (2.70); `p_ht` has become `Vᵀ` (n × N_0).
+/// Replaces `P` by `Σ = P + λ B Σ_f Bᵀ − Vᵀ V`, equation (2.70); `p_ht` has become `Vᵀ` (n × N_0).
 fn subtract_by_strips(
-    covariance: &DMatrix<f64>,
+    covariance: &mut DMatrix<f64>,
     spread: Option<ExcitationSpread<'_>>,
     p_ht: &DMatrix<f64>,
-    corrected: &mut DMatrix<f64>,
     right: &mut Right,
     multiplier: Multiplier,
 ) {
@@ -205,8 +203,7 @@ fn subtract_by_strips(
     });
     let v_transposed = Piece::new(p_ht);
     let left = Left::joined(v_transposed, channels, spread.map_or(v_transposed, |spread| Piece::new(spread.scaled)));
-    let sum = Sum { factor: 1.0, start: Some(Piece::new(covariance)) };
-    multiplier.multiply_symmetric_to(left, right, sum, corrected);
+    multiplier.add_symmetric_mut(left, right, covariance);
 }
 
 /// What the update says of the unknown excitation of the frame's own instant, for models with a direct term.

@@ -18,10 +18,8 @@ pub(super) struct Workspace {
     pub(super) constant: Option<ConstantPath>,
     /// the transition of a linear structure with proportional damping
     pub(super) proportional: Option<proportional::Transition>,
-    /// P (n × n), but for what the unknown excitation of the step adds
+    /// P (n × n), but for what the unknown excitation of the step adds; then (I − GH) P
     pub(super) covariance: DMatrix<f64>,
-    /// (I − GH) P (n × n)
-    pub(super) corrected: DMatrix<f64>,
     /// y predicted (n)
     pub(super) mean: DVector<f64>,
     /// [Γg, B] (n × (1 + N_f))
@@ -89,7 +87,6 @@ impl Workspace {
             update: update::Workspace::new(n, channels, inputs, settings.covariance_form),
             objective: Objective::new(channels, settings.noise.parameters.len()),
             covariance: DMatrix::zeros(n, n),
-            corrected: DMatrix::zeros(n, n),
             mean: DVector::zeros(n),
             inputs: DMatrix::zeros(n, 1 + inputs),
             input_matrix: DMatrix::zeros(n, inputs),

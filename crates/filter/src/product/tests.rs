@@ -118,6 +118,19 @@ fn symmetric_product_has_the_same_bits_in_both_triangles() {
 }
 
 #[test]
+fn symmetric_product_is_added_in_place_once_with_the_same_bits_in_both_triangles() {
+    for n in [1, 3, 10, 16, 33, 41, 70, 122] {
+        let (factor, root) = (matrix(n, 7), matrix(n, 5));
+        let mut start = &root * root.transpose();
+        start.fill_upper_triangle_with_lower_triangle();
+        let mut out = start.clone();
+        Multiplier::new().add_symmetric_mut(Left::new(&factor), &packed(&factor.transpose()), &mut out);
+        assert!((&out - (start + &factor * factor.transpose())).amax() < 1e-13, "{n}");
+        assert_eq!(out, out.transpose(), "{n}");
+    }
+}
+
+#[test]
 fn transposed_product_is_that_of_nalgebra() {
     for (rows, columns) in [(19, 42), (16, 8), (5, 30), (70, 10)] {
         let (left, right) = (matrix(rows, 6), matrix(6, columns));

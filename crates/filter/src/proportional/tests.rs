@@ -1,6 +1,6 @@
 //! The blocks against the series that applies the Jacobian to columns.
 
-use super::band::{Band, Evaluate};
+use super::band::{Band, Evaluate, Padded};
 use super::polynomials::economise_mut;
 use super::*;
 use crate::discretise::{self, Series, integrate_inputs, propagate_covariance, transition_mul_narrow};
@@ -257,9 +257,10 @@ fn polynomials_of_a_band_are_those_of_its_full_matrix() {
                     expected = &matrix * expected + DMatrix::identity(n, n) * *coefficient;
                 }
                 let x = wave(n, 1);
-                let mut product = vec![0.0; n];
-                band.mul_to(Multiplier::new().arch(), x.as_slice(), &mut product);
-                let error = (DVector::from_vec(product) - &expected * x).amax();
+                let (mut padded, mut product) = (Padded::new(n, n), Padded::new(n, n));
+                padded.copy_from(x.as_slice());
+                band.mul_to(Multiplier::new().arch(), &padded, &mut product);
+                let error = (DVector::from_column_slice(product.as_slice()) - &expected * x).amax();
                 assert!(error < 1e-14, "{n}, band {width}: product off by {error:e}");
                 let mut right = Right::new(n, n, 1);
                 right.pack_with(
