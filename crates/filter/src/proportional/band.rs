@@ -239,64 +239,71 @@ impl<const N: usize> WithSimd for Evaluate<'_, N> {
         power.diagonal_mut(0)[..z.n].fill(1.0);
         let degree = polynomials.iter().map(|polynomial| polynomial.degree).max().unwrap_or(0);
         for k in 1..=degree {
-            multiply(simd, z, power, next);
+            next.half_bandwidth = (z.half_bandwidth + power.half_bandwidth).min(next.most);
+            next.clear_around(next.half_bandwidth, z.half_bandwidth);
+            let mut first = 0;
+            while first < z.padded {
+                let registers = ((z.padded - first) / S::F64_LANES).min(5);
+                let mut terms = Terms { z, power, next, polynomials, sums: &mut sums, k, first };
+                match registers {
+                    1 => terms.add::<S, 1>(simd),
+                    2 => terms.add::<S, 2>(simd),
+                    3 => terms.add::<S, 3>(simd),
+                    4 => terms.add::<S, 4>(simd),
+                    _ => terms.add::<S, 5>(simd),
+                }
+                first += registers * S::F64_LANES;
+            }
             std::mem::swap(power, next);
-            for (polynomial, sum) in polynomials.iter().zip(&mut sums) {
-                if k <= polynomial.degree {
-                    let coefficient = polynomial.coefficients[k];
-                    // all diagonals at once, with the zeros between them
-                    let (all, of_power) = (sum.all(power.half_bandwidth), power.all(power.half_bandwidth));
-                    for (entry, power) in sum.entries[all].iter_mut().zip(&power.entries[of_power]) {
-                        *entry += coefficient * power;
+        }
+    }
+}
+
+/// Some rows of a power, and what they add to the polynomials.
+struct Terms<'e, 'b, const N: usize> {
+    z: &'e Band,
+    power: &'e Band,
+    next: &'e mut Band,
+    polynomials: [&'b Polynomial; N],
+    sums: &'e mut [&'b mut Band; N],
+    /// which power the next one is
+    k: usize,
+    /// the first row
+    first: usize,
+}
+
+impl<const N: usize> Terms<'_, '_, N> {
+    /// Writes `R` registers of rows of the next power, `(Z P)_{i, i+d} = Σ_e Z_{i, i+e} P_{i+e, i+d}`, and adds them to the sums;
+    /// around all bands there are diagonals of zeros.
+    #[inline(always)]
+    fn add<S: Simd, const R: usize>(&mut self, simd: S) {
+        let Self { z, power, next, polynomials, sums, k, first } = self;
+        let rows = *first..*first + R * S::F64_LANES;
+        let half = z.half_bandwidth as isize;
+        for d in next.diagonals() {
+            let mut product = [simd.splat_f64s(0.0); R];
+            for e in -half..=half {
+                let (z, _) = S::as_simd_f64s(&z.diagonal(e, 0)[rows.clone()]);
+                let (p, _) = S::as_simd_f64s(&power.diagonal(d - e, e)[rows.clone()]);
+                for (sum, (z, p)) in product.iter_mut().zip(z.iter().zip(p)) {
+                    *sum = simd.mul_add_e_f64s(*z, *p, *sum);
+                }
+            }
+            let (next, _) = S::as_mut_simd_f64s(&mut next.diagonal_mut(d)[rows.clone()]);
+            for (entry, product) in next.iter_mut().zip(product) {
+                *entry = product;
+            }
+            for (polynomial, sum) in polynomials.iter().zip(sums.iter_mut()) {
+                if *k <= polynomial.degree {
+                    let coefficient = simd.splat_f64s(polynomial.coefficients[*k]);
+                    let (sum, _) = S::as_mut_simd_f64s(&mut sum.diagonal_mut(d)[rows.clone()]);
+                    for (entry, product) in sum.iter_mut().zip(product) {
+                        *entry = simd.mul_add_e_f64s(coefficient, product, *entry);
                     }
                 }
             }
         }
     }
-}
-
-/// Diagonals of the left factor that are multiplied together.
-const TOGETHER: usize = 3;
-
-/// Writes the product of two bands, `(Z P)_{i, i+d} = Σ_e Z_{i, i+e} P_{i+e, i+d}`; around both there are diagonals of zeros.
-#[inline(always)]
-fn multiply<S: Simd>(simd: S, z: &Band, p: &Band, out: &mut Band) {
-    out.half_bandwidth = (z.half_bandwidth + p.half_bandwidth).min(out.most);
-    let half = z.half_bandwidth as isize;
-    out.clear_around(out.half_bandwidth, z.half_bandwidth);
-    for d in out.diagonals() {
-        let (out, _) = S::as_mut_simd_f64s(out.diagonal_mut(d));
-        let mut e = -half;
-        while e + TOGETHER as isize <= half + 1 {
-            let is_first = e == -half;
-            let together = terms::<S>(z, p, d, e).zip(terms::<S>(z, p, d, e + 1)).zip(terms::<S>(z, p, d, e + 2));
-            for (out, (((z, p), (z_1, p_1)), (z_2, p_2))) in out.iter_mut().zip(together) {
-                let start = if is_first { simd.splat_f64s(0.0) } else { *out };
-                let sum = simd.mul_add_e_f64s(*z, *p, start);
-                *out = simd.mul_add_e_f64s(*z_2, *p_2, simd.mul_add_e_f64s(*z_1, *p_1, sum));
-            }
-            e += TOGETHER as isize;
-        }
-        for e in e..=half {
-            let is_first = e == -half;
-            for (out, (z, p)) in out.iter_mut().zip(terms::<S>(z, p, d, e)) {
-                let start = if is_first { simd.splat_f64s(0.0) } else { *out };
-                *out = simd.mul_add_e_f64s(*z, *p, start);
-            }
-        }
-    }
-}
-
-/// Returns the factors of one diagonal of `Z` in diagonal `d` of a product.
-#[inline(always)]
-fn terms<'b, S: Simd>(
-    z: &'b Band,
-    p: &'b Band,
-    d: isize,
-    e: isize,
-) -> impl Iterator<Item = (&'b S::f64s, &'b S::f64s)> {
-    let ((z, _), (p, _)) = (S::as_simd_f64s(z.diagonal(e, 0)), S::as_simd_f64s(p.diagonal(d - e, e)));
-    z.iter().zip(p)
 }
 
 /// Returns the rows of a square matrix (n × n) not farther from the diagonal than `half_bandwidth` in a column.
