@@ -158,7 +158,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             &mut work.update,
         );
         let limited_states = self.limit_state();
-        let bounded_variances = bound_variances_mut(&mut self.work.covariance, &self.settings.variance_bound);
+        let bounded_variances = self.bound_variances();
         self.check_result()?;
         self.commit(frame, evidence.normalised_innovation_squared);
         Ok(Step {
@@ -460,7 +460,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         work.swapped_pair.rows_mut(inputs, inputs).tr_copy_from(&work.cross);
         work.by_pair.pack(&work.swapped_pair);
         work.pair *= settings.fading.value();
-        work.multiplier.add_symmetric_mut(Left::new(&work.pair), &work.by_pair, &mut work.covariance);
+        let (left, variances) = (Left::new(&work.pair), work.update.variances.as_mut_slice());
+        work.multiplier.add_symmetric_mut(left, &work.by_pair, &mut work.covariance, variances);
     }
 
     /// Writes innovation, `S`, `P Hᵀ` and `P`; screens outliers and moves the noise parameters in between.
@@ -650,6 +651,18 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         limited
     }
 
+    /// Scales the covariance so that no variance exceeds its bound; returns how many did.
+    fn bound_variances(&mut self) -> usize {
+        let Self { settings, work, .. } = self;
+        let (variances, bounds) = (&mut work.update.variances, &settings.variance_bound);
+        if variances.iter().zip(bounds).all(|(variance, bound)| variance <= bound) {
+            return 0; // without a look at the covariance: its diagonal is as far apart as its columns are long
+        }
+        let bounded = bound_variances_mut(&mut work.covariance, bounds);
+        variances.copy_from(&work.covariance.diagonal());
+        bounded
+    }
+
     fn check_result(&mut self) -> Result<(), FilterError> {
         if let Some(index) = self.state.noise.mean.iter().position(|level| !level.is_finite()) {
             return Err(FilterError::NotFinite { what: "noise level", index });
@@ -659,12 +672,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             if !work.mean[index].is_finite() {
                 return Err(FilterError::NotFinite { what: "mean of state", index });
             }
-            let variance = work.covariance[(index, index)];
+            let variance = work.update.variances[index];
             if !variance.is_finite() {
                 return Err(FilterError::NotFinite { what: "variance of state", index });
             }
             if variance < 0.0 {
-                let largest = work.covariance.diagonal().max();
+                let largest = work.update.variances.max();
                 if variance < -ROUNDING * largest {
                     return Err(FilterError::NegativeVariance { index, variance });
                 }

@@ -220,8 +220,14 @@ impl Multiplier {
     }
 
     /// Adds a symmetric product of `left` (m × k) and `right` (k × m) to a symmetric matrix (m × m) in its place; both triangles
-    /// get the same bits.
-    pub(crate) fn add_symmetric_mut(self, left: Left<'_>, right: &Right, matrix: &mut DMatrix<f64>) {
+    /// get the same bits. Writes what the matrix then has on its diagonal (m), as long as that is in the nearest memory.
+    pub(crate) fn add_symmetric_mut(
+        self,
+        left: Left<'_>,
+        right: &Right,
+        matrix: &mut DMatrix<f64>,
+        diagonal: &mut [f64],
+    ) {
         let n = matrix.nrows();
         let odd = n % MOST_LANES;
         // no row may be summed twice: those that fill no register come first, one by one, where fewest columns stand before them
@@ -230,7 +236,10 @@ impl Multiplier {
             let extent = Extent::Before(rows.end);
             let order = Order { left, rows: rows.clone(), right, first_column: 0, extent, factor: 1.0 };
             self.0.dispatch(Strips { order, place: InPlace(Mirrored(Target::new(matrix))) });
-            self.mirror_square_mut(rows, &mut Target::new(matrix));
+            self.mirror_square_mut(rows.clone(), &mut Target::new(matrix));
+            for row in rows {
+                diagonal[row] = matrix[(row, row)];
+            }
         }
     }
 

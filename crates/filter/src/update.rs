@@ -43,6 +43,8 @@ pub(crate) struct Workspace {
     pub innovation_covariance: DMatrix<f64>,
     /// `ν`, NaN where missing (N_0)
     pub innovation: DVector<f64>,
+    /// The corrected variances (n).
+    pub variances: DVector<f64>,
     /// `L` (N_0 × N_0)
     factor: DMatrix<f64>,
     /// `ν̃` (N_0)
@@ -69,6 +71,7 @@ impl Workspace {
         Self {
             innovation_covariance: DMatrix::zeros(channels, channels),
             innovation: DVector::zeros(channels),
+            variances: DVector::zeros(n),
             factor: DMatrix::zeros(channels, channels),
             whitened: DVector::zeros(channels),
             right: Right::new(channels + inputs, n, 2),
@@ -135,7 +138,7 @@ pub(crate) struct ExcitationSpread<'a> {
     pub scaled: &'a DMatrix<f64>,
 }
 
-/// Corrects the mean (n) and the covariance (n × n).
+/// Corrects the mean (n) and the covariance (n × n); leaves its diagonal in the scratch space.
 ///
 /// `covariance`: `P` but for the `spread` of the excitation. `p_ht`: `P Hᵀ` (n × N_0), with it; becomes `Vᵀ`. `sensors`:
 /// `Σ_n`, used by the Joseph form only. Expects [`factorise`] to have run.
@@ -149,13 +152,14 @@ pub(crate) fn correct(
     sensors: &DMatrix<f64>,
     work: &mut Workspace,
 ) {
-    let Workspace { factor, whitened, right, multiplier, .. } = work;
+    let Workspace { factor, whitened, right, multiplier, variances, .. } = work;
     solve_lower_of_rows_mut(multiplier.arch(), factor, p_ht.as_mut_slice()); // Vᵀ = P Hᵀ L⁻ᵀ
     mean.gemv(1.0, p_ht, whitened, 1.0); // y ← y + Vᵀ ν̃                            (2.68)
     if covariance.nrows() <= small::MOST_ROWS && spread.is_none() {
         small::subtract_outer_mut(multiplier.arch(), covariance, p_ht); // Σ = P − Vᵀ V      (2.70)
+        variances.copy_from(&covariance.diagonal());
     } else {
-        subtract_by_strips(covariance, spread, p_ht, right, *multiplier);
+        subtract_by_strips(covariance, spread, p_ht, right, *multiplier, variances);
     }
     let Some(JosephWorkspace { gain_transposed, h_x, noise_gain }) = &mut work.joseph else {
         return;
@@ -175,6 +179,7 @@ pub(crate) fn correct(
         }
     }
     crate::dense::symmetrise_mut(covariance);
+    variances.copy_from(&covariance.diagonal());
 }
 
 /// Replaces `P` by `Σ = P + λ B Σ_f Bᵀ − Vᵀ V`, equation (2.70); `p_ht` has become `Vᵀ` (n × N_0).
@@ -184,6 +189,7 @@ fn subtract_by_strips(
     p_ht: &DMatrix<f64>,
     right: &mut Right,
     multiplier: Multiplier,
+    variances: &mut DVector<f64>,
 ) {
     let (n, channels) = p_ht.shape();
     let inputs = spread.map_or(0, |spread| spread.input.ncols());
@@ -203,7 +209,7 @@ fn subtract_by_strips(
     });
     let v_transposed = Piece::new(p_ht);
     let left = Left::joined(v_transposed, channels, spread.map_or(v_transposed, |spread| Piece::new(spread.scaled)));
-    multiplier.add_symmetric_mut(left, right, covariance);
+    multiplier.add_symmetric_mut(left, right, covariance, variances.as_mut_slice());
 }
 
 /// What the update says of the unknown excitation of the frame's own instant, for models with a direct term.

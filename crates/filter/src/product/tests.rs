@@ -124,9 +124,11 @@ fn symmetric_product_is_added_in_place_once_with_the_same_bits_in_both_triangles
         let mut start = &root * root.transpose();
         start.fill_upper_triangle_with_lower_triangle();
         let mut out = start.clone();
-        Multiplier::new().add_symmetric_mut(Left::new(&factor), &packed(&factor.transpose()), &mut out);
+        let (right, mut diagonal) = (packed(&factor.transpose()), vec![0.0; n]);
+        Multiplier::new().add_symmetric_mut(Left::new(&factor), &right, &mut out, &mut diagonal);
         assert!((&out - (start + &factor * factor.transpose())).amax() < 1e-13, "{n}");
         assert_eq!(out, out.transpose(), "{n}");
+        assert_eq!(out.diagonal().as_slice(), diagonal, "{n}");
     }
 }
 
