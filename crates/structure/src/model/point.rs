@@ -186,9 +186,14 @@ impl Point {
     fn differentiate(&mut self, fixed: &Fixed) {
         let free = self.velocity.len();
         let columns = self.restoring_by_theta.as_mut_slice().chunks_exact_mut(free);
-        for ((index, parameter), column) in fixed.parameters.iter().enumerate().zip(columns) {
+        let columns = columns.zip(self.acceleration_by_theta.as_mut_slice().chunks_exact_mut(free));
+        for ((index, parameter), (column, of_acceleration)) in fixed.parameters.iter().enumerate().zip(columns) {
             let reach = fixed.reach[index].clone();
-            column[reach.clone()].fill(0.0);
+            for row in reach.clone() {
+                column[row] = 0.0; // mostly two of them: a call of memset would take longer
+            }
+            // M⁻¹ M, or a mass itself: nothing to divide by
+            let is_divided = !matches!(parameter.scales, Scales::DampingAlpha | Scales::Mass(_));
             match &parameter.scales {
                 Scales::Stiffness(_) => {
                     fixed.assembly.stiffness().mul_scaled_add_to(index, &self.stretched, column);
@@ -207,7 +212,6 @@ impl Point {
                     for (entry, v) in column.iter_mut().zip(&self.velocity) {
                         *entry = -fixed.alpha_per_s * v;
                     }
-                    continue; // M⁻¹ M: nothing to divide by
                 }
                 Scales::Mass(dofs) => {
                     // −M⁻¹R + α ẋ is what depends on the mass, as 1/θ
@@ -215,21 +219,17 @@ impl Point {
                         let by_mass = self.restoring[*dof] + self.alpha_per_s * self.velocity[*dof];
                         column[*dof] = -by_mass * self.mass_factors_inverse[*dof];
                     }
-                    continue;
                 }
             }
-            if let Some(factor) = &fixed.mass_factor {
+            if let (true, Some(factor)) = (is_divided, &fixed.mass_factor) {
                 factor.solve_mut(column);
             }
             let by_mass = fixed.reciprocal_masses[reach.clone()].iter().zip(&self.mass_factors_inverse[reach.clone()]);
-            for (entry, (reciprocal, factor)) in column[reach].iter_mut().zip(by_mass) {
-                *entry *= -reciprocal * factor;
+            let entries = column[reach.clone()].iter_mut().zip(&mut of_acceleration[reach]);
+            for ((entry, of_acceleration), (reciprocal, factor)) in entries.zip(by_mass) {
+                *entry *= if is_divided { -reciprocal * factor } else { 1.0 };
+                *of_acceleration = *entry;
             }
-        }
-        let columns = self.acceleration_by_theta.as_mut_slice().chunks_exact_mut(free);
-        let restoring = self.restoring_by_theta.as_slice().chunks_exact(free);
-        for ((column, restoring), reach) in columns.zip(restoring).zip(&fixed.reach) {
-            column[reach.clone()].copy_from_slice(&restoring[reach.clone()]);
         }
         for (index, parameter) in fixed.parameters.iter().enumerate() {
             if let Scales::Mass(dofs) = &parameter.scales {
