@@ -1,6 +1,6 @@
 //! Small dense kernels that allocate nothing: nalgebra's own give up their storage on failure or pack into new buffers.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use pulp::{Arch, Simd, WithSimd};
 
 /// Replaces the lower triangle of a symmetric positive definite matrix by its Cholesky factor `L`; zeroes the rest.
@@ -152,6 +152,13 @@ pub(crate) fn symmetrise_mut(matrix: &mut DMatrix<f64>) {
             matrix[(i, j)] = mean;
             matrix[(j, i)] = mean;
         }
+    }
+}
+
+/// Writes the diagonal of a square matrix (n × n).
+pub(crate) fn diagonal_to(matrix: &DMatrix<f64>, out: &mut DVector<f64>) {
+    for (entry, value) in out.iter_mut().zip(matrix.as_slice().iter().step_by(matrix.nrows() + 1)) {
+        *entry = *value;
     }
 }
 

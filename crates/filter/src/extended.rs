@@ -12,7 +12,7 @@ pub use settings::{Annealing, FilterSettings};
 pub use state::FilterState;
 
 use crate::constant::ConstantPath;
-use crate::dense::{add_quadratic_form_mut, symmetrise_mut};
+use crate::dense::{add_quadratic_form_mut, diagonal_to, symmetrise_mut};
 use crate::discretise::{self, InputHold, Series};
 use crate::error::FilterError;
 use crate::fading::bound_variances_mut;
@@ -659,7 +659,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             return 0; // without a look at the covariance: its diagonal is as far apart as its columns are long
         }
         let bounded = bound_variances_mut(&mut work.covariance, bounds);
-        variances.copy_from(&work.covariance.diagonal());
+        diagonal_to(&work.covariance, variances);
         bounded
     }
 

@@ -5,7 +5,7 @@
 //! itself is never formed, and both triangles get the same bits. `P Hᵀ` and `Vᵀ` are kept, whose columns are long.
 
 use crate::dense::{
-    cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut, solve_lower_transposed_mut,
+    cholesky_mut, diagonal_to, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut, solve_lower_transposed_mut,
     subtract_gram_mut,
 };
 use crate::error::FilterError;
@@ -157,7 +157,7 @@ pub(crate) fn correct(
     mean.gemv(1.0, p_ht, whitened, 1.0); // y ← y + Vᵀ ν̃                            (2.68)
     if covariance.nrows() <= small::MOST_ROWS && spread.is_none() {
         small::subtract_outer_mut(multiplier.arch(), covariance, p_ht); // Σ = P − Vᵀ V      (2.70)
-        variances.copy_from(&covariance.diagonal());
+        diagonal_to(covariance, variances);
     } else {
         subtract_by_strips(covariance, spread, p_ht, right, *multiplier, variances);
     }
@@ -179,7 +179,7 @@ pub(crate) fn correct(
         }
     }
     crate::dense::symmetrise_mut(covariance);
-    variances.copy_from(&covariance.diagonal());
+    diagonal_to(covariance, variances);
 }
 
 /// Replaces `P` by `Σ = P + λ B Σ_f Bᵀ − Vᵀ V`, equation (2.70); `p_ht` has become `Vᵀ` (n × N_0).
