@@ -380,7 +380,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         work.mean.copy_from(&state.mean);
         if state.fresh {
             work.covariance.copy_from(&state.covariance);
-            work.input_matrix.fill(0.0);
+            if work.constant.is_none() {
+                work.input_matrix.fill(0.0);
+            }
             return;
         }
         if let Some(posterior) = &state.posterior {
@@ -396,7 +398,6 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             });
             constant.predict_mean_mut(&mut work.mean, held, ramp);
             let ConstantPath { transition, column, .. } = constant;
-            work.input_matrix.copy_from(transition.held_input());
             if let Some(ExcitationPosterior { cross, .. }) = &state.posterior {
                 work.cross.copy_from(cross);
                 transition.mul_mut(&mut work.cross, column);
@@ -693,7 +694,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         if let (Some(direct), Some(posterior)) = (model.feedthrough(), &mut state.posterior) {
             update::infer_excitation(direct, &work.frame_excitation, &work.p_ht, &work.update, posterior);
         }
-        state.mean.copy_from(&work.mean);
+        std::mem::swap(&mut state.mean, &mut work.mean);
         std::mem::swap(&mut state.covariance, &mut work.covariance);
         let weight = 1.0 / (state.steps as f64 + 1.0).min(settings.fading.memory_steps());
         for j in 0..state.last_excitation.len() {
@@ -705,7 +706,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         }
         // a filter that diverges tells nothing of how large the motion is
         if normalised_innovation_squared <= CREDIBLE * work.mean.len().max(1) as f64 {
-            for (mean_square, value) in state.motion_mean_square.iter_mut().zip(&work.mean) {
+            for (mean_square, value) in state.motion_mean_square.iter_mut().zip(&state.mean) {
                 *mean_square += weight * (value * value - *mean_square);
             }
         }

@@ -13,12 +13,14 @@ type Column = [f64; MOST_ROWS];
 #[derive(Debug, Clone)]
 pub(crate) struct Congruence {
     /// The columns of `A` and its rows.
-    columns: Vec<Column>,
-    rows: Vec<Column>,
-    /// Those of `A X` and of the result; as many as are made together.
-    half_way: Vec<Column>,
-    result: Vec<Column>,
+    columns: Box<Columns>,
+    rows: Box<Columns>,
+    /// The columns of `A X` and of the result.
+    half_way: Box<Columns>,
+    result: Box<Columns>,
 }
+
+type Columns = [Column; MOST_ROWS];
 
 impl Congruence {
     /// Takes `A` (n × n).
@@ -26,8 +28,8 @@ impl Congruence {
         let n = a.nrows();
         debug_assert!(n <= MOST_ROWS);
         let entry = |row: usize, column: usize| if row < n && column < n { a[(row, column)] } else { 0.0 };
-        let columns = |entry: &dyn Fn(usize, usize) -> f64| -> Vec<Column> {
-            (0..MOST_ROWS).map(|column| std::array::from_fn(|row| entry(row, column))).collect()
+        let columns = |entry: &dyn Fn(usize, usize) -> f64| -> Box<Columns> {
+            Box::new(std::array::from_fn(|column| std::array::from_fn(|row| entry(row, column))))
         };
         Self {
             columns: columns(&entry),
@@ -39,7 +41,7 @@ impl Congruence {
 
     /// Writes `A y` (n) into `out`.
     pub(crate) fn mul_to(&self, arch: Arch, y: &[f64], out: &mut [f64]) {
-        arch.dispatch(Multiply { columns: &self.columns, y, out });
+        arch.dispatch(Multiply { columns: &self.columns[..], y, out });
     }
 
     /// Writes `factor · A X Aᵀ` into `out` (n × n); both triangles get the same bits.
@@ -104,13 +106,19 @@ impl Apply<'_> {
     #[inline(always)]
     fn run<S: Simd, const R: usize, const C: usize>(self, simd: S) {
         let Self { congruence: Congruence { columns, rows, half_way, result }, factor, x, out, n } = self;
+        let n = n.min(MOST_ROWS); // which it is: no entry below needs to be looked for beyond its column
         // column j of A X is made of those of A, by the entries of column j of X
         for first in (0..n).step_by(C) {
+            let mut of_x = [&x[..n]; C];
+            for (lane, of_x) in of_x.iter_mut().enumerate() {
+                let column = (first + lane).min(n - 1);
+                *of_x = &x[column * n..(column + 1) * n];
+            }
             let mut sums = [[simd.splat_f64s(0.0); R]; C];
             for (k, column) in columns[..n].iter().enumerate() {
                 let (column, _) = S::as_simd_f64s(column.as_slice());
-                for (lane, sums) in sums.iter_mut().enumerate() {
-                    let weight = simd.splat_f64s(x[(first + lane).min(n - 1) * n + k]);
+                for (of_x, sums) in of_x.iter().zip(&mut sums) {
+                    let weight = simd.splat_f64s(of_x[k]);
                     for (sum, entry) in sums.iter_mut().zip(column) {
                         *sum = simd.mul_add_e_f64s(*entry, weight, *sum);
                     }
@@ -138,12 +146,10 @@ impl Apply<'_> {
             }
             keep::<S, R, C>(&sums, &mut result[first..first + C]);
         }
-        for (out, column) in out.chunks_exact_mut(n).zip(&*result) {
-            out.copy_from_slice(&column[..n]);
-        }
-        for column in 1..n {
-            for row in 0..column {
-                out[column * n + row] = out[row * n + column];
+        for column in 0..n {
+            for row in column..n {
+                let entry = result[column][row];
+                (out[column * n + row], out[row * n + column]) = (entry, entry);
             }
         }
     }

@@ -24,7 +24,7 @@ pub(super) struct Workspace {
     pub(super) mean: DVector<f64>,
     /// [Γg, B] (n × (1 + N_f))
     pub(super) inputs: DMatrix<f64>,
-    /// B (n × N_f)
+    /// B (n × N_f); of a constant model always the same
     pub(super) input_matrix: DMatrix<f64>,
     /// H P (N_0 × n), of models that do not hand out H
     pub(super) h_p: DMatrix<f64>,
@@ -80,6 +80,9 @@ impl Workspace {
             None => None,
         };
         let h_b = constant.as_ref().map_or_else(|| DMatrix::zeros(channels, inputs), |constant| constant.h_b.clone());
+        let input_matrix = constant
+            .as_ref()
+            .map_or_else(|| DMatrix::zeros(n, inputs), |constant| constant.transition.held_input().clone());
         Ok(Self {
             constant,
             proportional: model.proportional_form().map(|form| proportional::Transition::new(&form)),
@@ -89,7 +92,7 @@ impl Workspace {
             covariance: DMatrix::zeros(n, n),
             mean: DVector::zeros(n),
             inputs: DMatrix::zeros(n, 1 + inputs),
-            input_matrix: DMatrix::zeros(n, inputs),
+            input_matrix,
             h_p: DMatrix::zeros(channels, n),
             p_ht: DMatrix::zeros(n, channels),
             h_t: DMatrix::zeros(n, channels),

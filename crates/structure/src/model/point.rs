@@ -80,6 +80,11 @@ impl Point {
         }
     }
 
+    /// Tells whether it has been moved before.
+    pub(super) fn is_scaled(&self) -> bool {
+        self.is_scaled
+    }
+
     /// Moves the point to `state` (n) under the known `excitation` (N_f).
     pub(super) fn linearise(&mut self, fixed: &Fixed, state: &[f64], excitation: &[f64]) {
         let free = fixed.assembly.len();
