@@ -57,6 +57,16 @@ impl Seat {
         }
     }
 
+    /// Takes how far alert has come: what it needs no more need not stay in memory for it.
+    pub(crate) fn release(&mut self, decided: &Progress) {
+        let (epoch, first) = (decided.header.epoch, decided.kept);
+        match self {
+            Self::Joining => {}
+            Self::StandingBy(own) => own.estimates.release(epoch, first),
+            Self::Leading(own) => own.estimates.release(epoch, first),
+        }
+    }
+
     /// Waits for somebody who asks for the state; for ever where it is not for this one to answer.
     pub(crate) async fn question(&self) -> Question {
         if let Self::Leading(leading) = self

@@ -114,6 +114,11 @@ impl Recorder {
         self.waiting.lose_what_is_too_much();
     }
 
+    /// Whether nothing waits for the disk.
+    pub(crate) fn has_written_all(&self) -> bool {
+        self.waiting.frames() == 0
+    }
+
     /// Tries again what the disk has refused, and forces to the disk what it has taken, when it is time to.
     pub(crate) async fn tend(&mut self) {
         if self.refused_at.is_some_and(|refused| refused.elapsed() >= RETRY) {

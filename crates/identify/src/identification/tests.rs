@@ -97,7 +97,7 @@ fn lost_frames_are_bridged_and_numbering_goes_on() {
     let mut blocks = cut(frames(400), &[200, 50]);
     let after = blocks.pop().unwrap();
     core.handle(Input::Frames(blocks.remove(0)), &mut outputs);
-    core.handle(Input::Gap { from: 200, to: 250 }, &mut outputs);
+    core.handle(Input::gap(200, 250), &mut outputs);
     core.handle(Input::Frames(after), &mut outputs);
     let estimates = estimates(&outputs);
     assert_eq!((estimates.len(), core.done()), (400, 400));
@@ -117,7 +117,7 @@ fn motion_is_forgotten_over_a_gap_too_long_to_bridge() {
         Estimator::Classes(_) | Estimator::Particles(_) => panic!("the demo has one filter"),
     };
     let before = mean(&core);
-    core.handle(Input::Gap { from: 3000, to: 9000 }, &mut outputs);
+    core.handle(Input::gap(3000, 9000), &mut outputs);
     assert_eq!(estimates(&outputs).len(), 9000);
     let after = mean(&core);
     assert!(after.rows(0, 10).iter().all(|entry| *entry == 0.0), "the motion is back at its prior");
@@ -130,7 +130,7 @@ fn estimates_of_a_long_gap_come_in_blocks_that_can_be_sent() {
     let mut core = Identification::new(&structure(), "identify").unwrap();
     let mut outputs = Vec::new();
     core.handle(Input::Frames(frames(200)), &mut outputs);
-    core.handle(Input::Gap { from: 200, to: 9000 }, &mut outputs);
+    core.handle(Input::gap(200, 9000), &mut outputs);
     let (mut next, mut grid) = (0, None);
     let blocks = outputs.iter().filter_map(|output| match output {
         Output::Estimates(block) => Some(block),
