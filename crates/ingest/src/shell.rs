@@ -98,7 +98,8 @@ pub struct IngestService {
     pace_heard: Option<Pace>,
     done: u64,
     last_time_ns: Option<i64>,
-    recorder: Option<Recorder>,
+    /// away while the thread for that writes
+    recorder: Option<Box<Recorder>>,
     token: LiveToken,
 }
 
@@ -138,7 +139,7 @@ impl IngestService {
                     let structure = keys.structure().as_str();
                     let opened =
                         tokio::task::block_in_place(|| Recorder::open(structure, &layout, channels, recording))?;
-                    (Some(opened.0), opened.1)
+                    (Some(Box::new(opened.0)), opened.1)
                 }
                 None => (None, None),
             };
@@ -306,11 +307,12 @@ impl IngestService {
     async fn handle(&mut self, input: Input) -> Result<(), IngestError> {
         let mut blocks = Vec::new();
         self.core.handle(input, &mut blocks);
-        if let Some(recorder) = self.recorder.as_mut().filter(|_| !blocks.is_empty()) {
-            let places = self.core.places();
-            tokio::task::block_in_place(|| recorder.write(&blocks, &places));
+        if let Some(recorder) = self.recorder.take_if(|_| !blocks.is_empty()) {
+            let (recorder, recorded) = recorder.record(blocks, self.core.places()).await?;
+            self.recorder = Some(recorder);
+            blocks = recorded;
         }
-        let is_recorded = self.recorder.as_ref().is_some_and(Recorder::has_written_all);
+        let is_recorded = self.recorder.as_ref().is_some_and(|recorder| recorder.has_written_all());
         for block in blocks {
             let epoch = block.header.epoch;
             if let Some((number, _)) = block.iter().last() {
@@ -392,7 +394,7 @@ impl IngestService {
         for (reason, count) in self.nodes.counts().flat_map(|counts| counts.drops()) {
             *drops.entry(reason).or_default() += count;
         }
-        drops.extend(self.recorder.iter().flat_map(Recorder::drops));
+        drops.extend(self.recorder.iter().flat_map(|recorder| recorder.drops()));
         let status = Status {
             structure: self.keys.structure().clone(),
             service: self.service.clone(),
