@@ -146,6 +146,32 @@ fn estimates_of_a_long_gap_come_in_blocks_that_can_be_sent() {
     assert_eq!(next, 9000);
 }
 
+/// All estimates of a gap were in memory at once, 417 MB of 4,096 frames of a structure with 160 parameters.
+#[test]
+fn a_long_gap_is_bridged_part_by_part_with_the_same_bits() {
+    let begun = || {
+        let mut core = Identification::new(&structure(), "identify").unwrap();
+        core.handle(Input::Frames(frames(200)), &mut Vec::new());
+        core
+    };
+    let said = |outputs: &[Output]| outputs.iter().map(|output| format!("{output:?}")).collect::<Vec<_>>();
+    let (mut whole, mut outputs) = (begun(), Vec::new());
+    whole.handle(Input::gap(200, 9000), &mut outputs);
+    let (mut core, mut together, mut left) = (begun(), Vec::new(), Some(Input::gap(200, 9000)));
+    let mut dones = Vec::new();
+    while let Some(input) = left {
+        let mut part = Vec::new();
+        left = core.handle_part(input, &mut part);
+        assert!(estimates(&part).len() as u64 <= MOST_BRIDGED, "{} at once", estimates(&part).len());
+        together.extend(said(&part));
+        dones.push(core.done());
+    }
+    assert_eq!(together, said(&outputs));
+    assert_eq!(events(&outputs).iter().filter(|event| event.kind == EventKind::Gap).count(), 1, "it is told once");
+    assert_eq!(core.state(), whole.state());
+    assert!(dones.len() > 60 && dones.last() == Some(&9000), "{dones:?}");
+}
+
 #[test]
 fn new_epoch_of_frames_keeps_the_parameters() {
     let mut again = frames(200);
