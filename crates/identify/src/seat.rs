@@ -18,7 +18,6 @@ pub enum Precedence {
 
 /// Where an identification stands.
 #[derive(Debug)]
-#[expect(clippy::large_enum_variant, reason = "there is one for each structure")]
 pub(crate) enum Seat {
     /// Another one leads, whose state has not been taken yet: nothing is identified here.
     Joining,
