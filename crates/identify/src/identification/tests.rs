@@ -146,6 +146,28 @@ fn estimates_of_a_long_gap_come_in_blocks_that_can_be_sent() {
     assert_eq!(next, 9000);
 }
 
+/// All responses of a block of frames were told before its first estimates, so that a file had them in the rows of those alone.
+#[test]
+fn responses_are_told_with_the_estimates_of_their_frames() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
+    let response = "\n[[response]]\nname = \"roof\"\nquantity = \"displacement\"\ndof = \"floor-5\"\n";
+    let text = std::fs::read_to_string(&path).unwrap() + response;
+    let mut core = Identification::new(&Structure::parse(&text, &path).unwrap(), "identify").unwrap();
+    let mut outputs = Vec::new();
+    core.handle(Input::Frames(frames(8000)), &mut outputs);
+    let lengths: Vec<usize> = outputs
+        .iter()
+        .filter_map(|output| match output {
+            Output::Responses(rows) => Some(rows.len()),
+            Output::Estimates(block) => Some(block.estimates.len()),
+            _ => None,
+        })
+        .collect();
+    assert!(lengths.len() > 2, "one block: {lengths:?}");
+    assert!(lengths.chunks(2).all(|pair| pair[0] == pair[1]), "{lengths:?}");
+    assert_eq!(lengths.iter().sum::<usize>(), 2 * 8000);
+}
+
 /// All estimates of a gap were in memory at once, 417 MB of 4,096 frames of a structure with 160 parameters.
 #[test]
 fn a_long_gap_is_bridged_part_by_part_with_the_same_bits() {
