@@ -575,16 +575,12 @@ pub fn epoch_now() -> u64 {
     now.duration_since(UNIX_EPOCH).map_or(1, |elapsed| elapsed.as_nanos() as u64)
 }
 
-/// Threads that wait for the disk take turns, so that with the ten seconds of tokio as many as the start has needed would stay for ever.
-const THREADS_IDLE: Duration = Duration::from_millis(100);
-
 /// Runs a future on a runtime of its own.
 ///
 /// # Errors
 /// When there is no runtime to be had, or what the future fails with.
 pub fn block_on<T>(future: impl Future<Output = Result<T, AppError>>) -> Result<T, AppError> {
-    let mut runtime = tokio::runtime::Builder::new_multi_thread();
-    let runtime = runtime.enable_all().thread_keep_alive(THREADS_IDLE).build();
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
     let runtime = runtime.map_err(|source| AppError::Io { what: "cannot start the runtime".to_owned(), source })?;
     runtime.block_on(future)
 }
