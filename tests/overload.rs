@@ -193,7 +193,7 @@ async fn an_overloaded_identification_sheds_display_falls_behind_and_catches_up_
     for (service, drops) in [("alert", &decided), ("identify", &counted)] {
         assert_eq!(drops.get("lost-items"), None, "{service}: {drops:?}");
     }
-    assert!(counted["fetched-items"] > 8_192, "all came by itself: {counted:?}");
+    assert!(counted["fetched-items"] > 1_024, "no more came from the recording than ingest has in memory: {counted:?}");
     assert!(counted["shed-values"] > 0, "nothing was shed: {counted:?}");
     let told: Vec<EventKind> = events.messages().try_iter().map(|(_, event)| event.kind).collect();
     let of_load: Vec<&EventKind> =

@@ -2,7 +2,7 @@
 
 use super::Record;
 use spandrel_bus::{
-    Block, Bus, Header, Keys, LiveToken, Name, NumberedPublisher, NumberedStream, Pace, SampleBlock, Service,
+    Block, Bus, Header, Keep, Keys, LiveToken, Name, NumberedPublisher, NumberedStream, Pace, SampleBlock, Service,
     StreamState,
 };
 use spandrel_structure::Structure;
@@ -87,8 +87,7 @@ impl Node {
             epoch,
             first: 0,
             state: StreamState::Running,
-            capacity: 1 << 16,
-            forget: None,
+            keep: Keep::last(1 << 16),
         };
         let publisher = bus.publish_numbered(stream).await.unwrap();
         let token = bus.announce(keys.live(Service::Sensor, &name)).await.unwrap();

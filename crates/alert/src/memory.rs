@@ -4,7 +4,9 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
-use spandrel_checkpoint::{CheckpointError, Checkpoints, Failures, Identity, Place, Remembering, fingerprint};
+use spandrel_checkpoint::{
+    CheckpointError, Checkpoints, Failures, Identity, Place, Remembering, fingerprint, moment_within,
+};
 use spandrel_structure::Structure;
 use tokio::time::Instant;
 use tracing::{info, warn};
@@ -114,7 +116,7 @@ impl Memory {
         Ok(Self {
             checkpoints: Checkpoints::open(&remembering.folder, identity)?,
             every: remembering.every,
-            last: Instant::now(),
+            last: moment_within(remembering.every),
             kept: None,
             failures: Failures::default(),
         })

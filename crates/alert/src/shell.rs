@@ -23,6 +23,9 @@ const ACKNOWLEDGEMENTS_WAITING: usize = 64;
 /// Queries for the last changes that wait.
 const QUESTIONS_WAITING: usize = 16;
 
+/// Parameters times frames up to which a block is decided on within some hundred microseconds: to lend a thread for that costs more.
+const BRIEF: usize = 1_000;
+
 /// The alert service of one structure.
 #[derive(Debug)]
 pub struct AlertService {
@@ -232,8 +235,12 @@ impl AlertService {
 
     async fn decide(&mut self, block: &EstimateBlock) -> Result<(), AlertError> {
         let mut alerts = Vec::new();
-        // A block that was fetched may hold thousands of frames: too long for a thread of the runtime.
-        let decided = tokio::task::block_in_place(|| self.watch.handle_block(block, &mut alerts));
+        let values = block.estimates.len() * usize::from(block.parameters);
+        let decided = match values <= BRIEF {
+            true => self.watch.handle_block(block, &mut alerts),
+            // A block that was fetched may hold thousands of frames: too long for a thread of the runtime.
+            false => tokio::task::block_in_place(|| self.watch.handle_block(block, &mut alerts)),
+        };
         if let Err(error) = decided {
             self.refuse("estimates-of-another-structure", &error);
         }

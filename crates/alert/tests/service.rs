@@ -7,7 +7,7 @@ use std::time::Duration;
 use spandrel_alert::AlertService;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, Estimate, EstimateBlock, EstimateFlags, Header,
-    HistoryLog, Keys, Name, NumberedPublisher, NumberedStream, Phase, Service, StreamState, Subscription,
+    HistoryLog, Keep, Keys, Name, NumberedPublisher, NumberedStream, Phase, Service, StreamState, Subscription,
 };
 use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
@@ -59,8 +59,7 @@ async fn open(root: &str) -> (Bus, Keys, NumberedPublisher<EstimateBlock>) {
         epoch: 1,
         first: 0,
         state: StreamState::Running,
-        capacity: 10_000,
-        forget: None,
+        keep: Keep::last(10_000),
     };
     let estimates = bus.publish_numbered(stream).await.unwrap();
     (bus, keys, estimates)

@@ -59,6 +59,7 @@ impl Lookup {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ring::Keep;
     use crate::testing::{frames, push};
     use crate::{FrameBlock, StreamState};
 
@@ -88,7 +89,7 @@ mod tests {
 
     #[test]
     fn what_the_ring_has_is_not_looked_up() {
-        let mut ring = Ring::new("source".into(), 3, 100).going_on(5, StreamState::Running);
+        let mut ring = Ring::new("source".into(), 3, Keep::last(100)).going_on(5, StreamState::Running);
         push(&mut ring, &frames(3, 5, 5)).unwrap();
         assert_eq!(found(&ring, 5, Some(3), 100), None);
         assert_eq!(found(&ring, 10, Some(3), 100), None);
@@ -97,18 +98,18 @@ mod tests {
 
     #[test]
     fn what_it_has_not_comes_from_the_archive_epoch_by_epoch() {
-        let ring = Ring::new("source".into(), 3, 100).going_on(5, StreamState::Running);
+        let ring = Ring::new("source".into(), 3, Keep::last(100)).going_on(5, StreamState::Running);
         assert_eq!(found(&ring, 2, Some(3), 100), Some((3, 2, 5)));
         assert_eq!(found(&ring, 7, Some(1), 100), Some((1, 7, 10)));
         assert_eq!(found(&ring, 10, Some(1), 100), Some((3, 0, 5)), "epoch 1 is over");
         assert_eq!(found(&ring, 4, Some(2), 100), Some((3, 0, 5)), "nothing of epoch 2");
-        let empty = Ring::new("source".into(), 9, 100);
+        let empty = Ring::new("source".into(), 9, Keep::last(100));
         assert_eq!(found(&empty, 5, Some(3), 100), None, "epoch 3 is over, the ring answers");
     }
 
     #[test]
     fn who_has_nothing_gets_what_is_recent() {
-        let ring = Ring::new("source".into(), 3, 100).going_on(5, StreamState::Running);
+        let ring = Ring::new("source".into(), 3, Keep::last(100)).going_on(5, StreamState::Running);
         assert_eq!(found(&ring, 0, None, 100), Some((3, 0, 5)));
         assert_eq!(found(&ring, 0, None, 2), Some((3, 3, 5)));
         assert_eq!(found(&ring, 0, None, 0), None);

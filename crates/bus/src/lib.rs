@@ -43,6 +43,7 @@ mod archive;
 mod arrivals;
 mod flood;
 mod follow;
+mod kept;
 mod ring;
 
 mod buffer;
@@ -90,7 +91,7 @@ pub use progress::{ProgressPublisher, ProgressWatch};
 pub use publish::{DisplayPublisher, LatestPublisher, NumberedPublisher, NumberedStandby, NumberedStream, Older};
 pub use questions::{Question, Questions};
 pub use range::{QueryRange, RangeError};
-pub use ring::{Answer, Forget, NotConsecutive, Ring};
+pub use ring::{Answer, Forget, Keep, NotConsecutive, Ring};
 pub use session::{AROUND_THE_PAYLOAD, Bus, BusConfig, DEFAULT_ENDPOINT, Mode};
 pub use span::{SpanError, SpanQuery, TIMES, time_ns};
 pub use stream::{Check, Reading, Stream, StreamCounts, StreamGroup, StreamSettings};

@@ -17,7 +17,7 @@ use crate::archive::{Archive, Lookup};
 use crate::error::BusError;
 use crate::message::{Block, CaughtUp, Message, StreamState};
 use crate::range::QueryRange;
-use crate::ring::{Answer, Forget, Ring};
+use crate::ring::{Answer, Keep, Ring};
 use crate::session::Bus;
 
 /// Queries waiting for an answer; one more is dropped, and its asker asks again.
@@ -38,10 +38,8 @@ pub struct NumberedStream {
     pub first: u64,
     /// Whether that earlier life had ended the epoch.
     pub state: StreamState,
-    /// Items kept in memory at least.
-    pub capacity: u64,
-    /// Which of them are forgotten earlier; none: none.
-    pub forget: Option<Forget>,
+    /// What is kept in memory.
+    pub keep: Keep,
 }
 
 /// Where older items of a stream are kept, and how many of them an asker gets that has none yet.
@@ -95,8 +93,8 @@ impl Bus {
         stream: NumberedStream,
         older: Option<Older<B>>,
     ) -> Result<NumberedPublisher<B>, BusError> {
-        let NumberedStream { key, buffer_key, source, epoch, first, state, capacity, forget } = stream;
-        let ring = Arc::new(Mutex::new(Ring::new(source, epoch, capacity).going_on(first, state).forgetting(forget)));
+        let NumberedStream { key, buffer_key, source, epoch, first, state, keep } = stream;
+        let ring = Arc::new(Mutex::new(Ring::new(source, epoch, keep).going_on(first, state)));
         let answering = self.answer(buffer_key, ring.clone(), older).await?;
         let publisher = declare_publisher::<B>(self.session(), key).await?;
         Ok(NumberedPublisher { publisher, ring, _answering: answering })
@@ -107,8 +105,8 @@ impl Bus {
     /// # Errors
     /// As [`Bus::publish_numbered`].
     pub async fn stand_by_numbered<B: Block>(&self, stream: NumberedStream) -> Result<NumberedStandby<B>, BusError> {
-        let NumberedStream { key, buffer_key, source, epoch, first, state, capacity, forget } = stream;
-        let ring = Ring::new(source, epoch, capacity).going_on(first, state).forgetting(forget);
+        let NumberedStream { key, buffer_key, source, epoch, first, state, keep } = stream;
+        let ring = Ring::new(source, epoch, keep).going_on(first, state);
         let publisher = declare_publisher::<B>(self.session(), key).await?;
         Ok(NumberedStandby { publisher, buffer_key, ring })
     }
@@ -194,6 +192,11 @@ async fn put_payload(publisher: &Publisher<'static>, payload: impl Into<ZBytes>)
 }
 
 impl<B: Block> NumberedPublisher<B> {
+    /// Whoever is known to need the items of an epoch needs those before number `first` no more.
+    pub fn release(&self, epoch: u64, first: u64) {
+        lock(&self.ring).release(epoch, first);
+    }
+
     /// Takes back the items from number `first` on: this source goes on from there, and puts them again.
     pub fn take_back(&self, first: u64) {
         lock(&self.ring).take_back(first);
@@ -205,9 +208,9 @@ impl<B: Block> NumberedPublisher<B> {
     /// The block does not continue the stream or is malformed, or the session is closed.
     pub async fn put(&self, mut block: B) -> Result<(), BusError> {
         block.set_term(lock(&self.ring).term());
-        let payload = encode_to_keep(self.publisher.key_expr(), &block)?;
+        let payload = encode(self.publisher.key_expr(), &block)?;
         // Into the ring first: whoever sees a gap after this put finds the block there.
-        push(&mut lock(&self.ring), self.publisher.key_expr(), &block, payload.clone())?;
+        push(&mut lock(&self.ring), self.publisher.key_expr(), &block, &payload)?;
         put_payload(&self.publisher, payload).await
     }
 
@@ -231,13 +234,18 @@ impl<B: Block> NumberedPublisher<B> {
 }
 
 impl<B: Block> NumberedStandby<B> {
+    /// As [`NumberedPublisher::release`].
+    pub fn release(&mut self, epoch: u64, first: u64) {
+        self.ring.release(epoch, first);
+    }
+
     /// Keeps the next block, which somebody else puts.
     ///
     /// # Errors
     /// The block does not continue the stream or is malformed.
     pub fn keep(&mut self, block: &B) -> Result<(), BusError> {
-        let payload = encode_to_keep(self.publisher.key_expr(), block)?;
-        push(&mut self.ring, self.publisher.key_expr(), block, payload)
+        let payload = encode(self.publisher.key_expr(), block)?;
+        push(&mut self.ring, self.publisher.key_expr(), block, &payload)
     }
 
     /// Puts the stream from now on in a term of leadership, which its readers prefer to all lower ones, and answers for what it has kept.
@@ -253,13 +261,7 @@ impl<B: Block> NumberedStandby<B> {
     }
 }
 
-fn encode_to_keep<B: Block>(key: &KeyExpr<'_>, block: &B) -> Result<ZBytes, BusError> {
-    let mut payload = encode(key, block)?;
-    payload.shrink_to_fit(); // it stays
-    Ok(ZBytes::from(payload))
-}
-
-fn push<B: Block>(ring: &mut Ring<B>, key: &KeyExpr<'_>, block: &B, payload: ZBytes) -> Result<(), BusError> {
+fn push<B: Block>(ring: &mut Ring<B>, key: &KeyExpr<'_>, block: &B, payload: &[u8]) -> Result<(), BusError> {
     #[expect(clippy::disallowed_methods, reason = "how long blocks are kept goes by the time at which they were put")]
     let now = Instant::now();
     let pushed = ring.push(block, payload, now);

@@ -1,11 +1,9 @@
 //! The latest items of a stream, kept for those who missed them.
 
-use std::collections::VecDeque;
 use std::marker::PhantomData;
 use std::time::{Duration, Instant};
 
-use zenoh::bytes::ZBytes;
-
+use crate::kept::{Kept, KeptBlocks};
 use crate::message::{Block, CaughtUp, Header, StreamState};
 use crate::range::QueryRange;
 
@@ -21,41 +19,42 @@ pub struct Ring<B> {
     epoch: u64,
     /// Term in which the source leads: it answers in that, also with what it kept before.
     term: u64,
-    blocks: VecDeque<Kept>,
+    blocks: KeptBlocks,
     items: u64,
-    capacity: u64,
+    keep: Keep,
+    /// Number of the first item that somebody may still need who is known.
+    released: u64,
     next: u64,
     state: StreamState,
-    forget: Option<Forget>,
     block: PhantomData<fn(B)>,
 }
 
-/// When a ring forgets before it is full: what is this old and not among the last items is no longer asked for.
+/// What a ring keeps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Keep {
+    /// Items kept at most, but for the rest of a block.
+    pub last: u64,
+    /// What is forgotten before that of items that somebody may need; none: nothing.
+    pub needed: Option<Forget>,
+    /// The same of items that were [released](Ring::release); none: as of the others.
+    pub released: Option<Forget>,
+}
+
+impl Keep {
+    /// The last so many items, however old.
+    #[must_use]
+    pub fn last(last: u64) -> Self {
+        Self { last, needed: None, released: None }
+    }
+}
+
+/// What is forgotten before a ring is full: what is this old and not among the last items.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Forget {
     /// Items kept however old they are.
     pub at_least: u64,
     /// Age from which others are forgotten.
     pub after: Duration,
-}
-
-/// A block as it was put.
-#[derive(Clone, Debug)]
-struct Kept {
-    sequence: u64,
-    count: u64,
-    payload: ZBytes,
-    put_at: Instant,
-}
-
-impl Kept {
-    fn end(&self) -> u64 {
-        self.sequence + self.count
-    }
-
-    fn decode<B: Block>(&self) -> Option<B> {
-        B::decode(&B::encoding(), &self.payload.to_bytes()).ok() // it was encoded here
-    }
 }
 
 /// What a ring answers.
@@ -84,23 +83,17 @@ pub struct NotConsecutive {
 }
 
 impl<B: Block> Ring<B> {
-    /// An empty ring that keeps at least the last `capacity` items.
+    /// An empty ring.
     #[must_use]
-    pub fn new(source: String, epoch: u64, capacity: u64) -> Self {
-        let (blocks, state) = (VecDeque::new(), StreamState::Running);
-        Self { source, epoch, term: 0, blocks, items: 0, capacity, next: 0, state, forget: None, block: PhantomData }
+    pub fn new(source: String, epoch: u64, keep: Keep) -> Self {
+        let (blocks, state) = (KeptBlocks::default(), StreamState::Running);
+        Self { source, epoch, term: 0, blocks, items: 0, keep, released: 0, next: 0, state, block: PhantomData }
     }
 
     /// As [`Ring::new`], of a source that goes on at item `first` of its epoch: those before it are kept elsewhere, or nowhere.
     #[must_use]
     pub fn going_on(self, first: u64, state: StreamState) -> Self {
         Self { next: first, state, ..self }
-    }
-
-    /// As it is, and forgets what is old.
-    #[must_use]
-    pub fn forgetting(self, forget: Option<Forget>) -> Self {
-        Self { forget, ..self }
     }
 
     /// Answers in this term of leadership from now on.
@@ -120,7 +113,7 @@ impl<B: Block> Ring<B> {
 
     /// Number of the oldest item kept; that of the next one if none is.
     pub(crate) fn first(&self) -> u64 {
-        self.blocks.front().map_or(self.next, |block| block.sequence)
+        self.blocks.front().map_or(self.next, |oldest| oldest.sequence)
     }
 
     /// Number of the item expected next.
@@ -129,18 +122,25 @@ impl<B: Block> Ring<B> {
         self.next
     }
 
+    /// Whoever is known to need the items of an epoch needs those before number `first` no more.
+    pub fn release(&mut self, epoch: u64, first: u64) {
+        if epoch == self.epoch {
+            self.released = first;
+        }
+    }
+
     /// Takes back the items from number `first` on: the source will put them again.
     pub fn take_back(&mut self, first: u64) {
-        while let Some(last) = self.blocks.pop_back_if(|last| last.end() > first) {
+        while let Some(last) = self.blocks.back().filter(|last| last.end() > first) {
+            let (sequence, put_at, kept) = (last.sequence, last.put_at, first.saturating_sub(last.sequence));
+            let part = if kept > 0 { decode::<B>(&last) } else { None };
             self.items -= last.count;
-            let kept = first.saturating_sub(last.sequence);
-            if kept > 0
-                && let Some(mut block) = last.decode::<B>()
-            {
-                block.truncate(kept);
-                if let Ok(payload) = block.encode() {
+            self.blocks.pop_back();
+            if let Some(mut part) = part {
+                part.truncate(kept);
+                if let Ok(payload) = part.encode() {
                     self.items += kept;
-                    self.blocks.push_back(Kept { count: kept, payload: payload.into(), ..last });
+                    self.blocks.push(sequence, kept, &payload, put_at);
                 }
             }
         }
@@ -154,7 +154,7 @@ impl<B: Block> Ring<B> {
     ///
     /// # Errors
     /// The block does not follow the last one, or its epoch is over.
-    pub fn push(&mut self, block: &B, payload: ZBytes, now: Instant) -> Result<(), NotConsecutive> {
+    pub fn push(&mut self, block: &B, payload: &[u8], now: Instant) -> Result<(), NotConsecutive> {
         let header = block.header();
         let restarts = header.epoch > self.epoch;
         let begins = header.epoch == self.epoch && self.next == 0 && self.blocks.is_empty();
@@ -169,24 +169,31 @@ impl<B: Block> Ring<B> {
         }
         if restarts {
             let term = self.term;
-            *self = Self::new(header.source.clone(), header.epoch, self.capacity).forgetting(self.forget);
+            *self = Self::new(header.source.clone(), header.epoch, self.keep);
             self.term = term;
         }
-        self.source.clone_from(&block.header().source);
+        self.source.clone_from(&header.source);
         self.next = block.end();
         self.state = block.state();
         self.items += block.count();
-        self.blocks.push_back(Kept { sequence: block.header().sequence, count: block.count(), payload, put_at: now });
-        while let Some(oldest) = self.blocks.front() {
+        self.blocks.push(header.sequence, block.count(), payload, now);
+        self.forget(now);
+        Ok(())
+    }
+
+    fn forget(&mut self, now: Instant) {
+        while let Some(oldest) = self.blocks.front().filter(|_| self.blocks.len() > 1) {
             let left = self.items - oldest.count;
-            let is_old = |forget: Forget| left >= forget.at_least && now.duration_since(oldest.put_at) >= forget.after;
-            if self.blocks.len() == 1 || (left < self.capacity && !self.forget.is_some_and(is_old)) {
-                break;
+            let is_released = oldest.end() <= self.released;
+            let forget = self.keep.released.filter(|_| is_released).or(self.keep.needed);
+            let is_old = forget
+                .is_some_and(|forget| left >= forget.at_least && now.duration_since(oldest.put_at) >= forget.after);
+            if left < self.keep.last && !is_old {
+                return;
             }
             self.items = left;
             self.blocks.pop_front();
         }
-        Ok(())
     }
 
     /// The items asked for, joined to one block as far as they fit, or that there are none.
@@ -194,18 +201,18 @@ impl<B: Block> Ring<B> {
     pub fn answer(&self, range: &QueryRange) -> Answer<B> {
         let same_epoch = range.epoch.is_none_or(|epoch| epoch == self.epoch);
         let after = if same_epoch { range.after } else { 0 };
-        let first = self.blocks.partition_point(|b| b.end() <= after);
-        let Some(mut answer) = self.blocks.get(first).and_then(|kept| self.decode(kept)) else {
+        let mut blocks = self.blocks.after(after);
+        let Some(mut answer) = blocks.next().and_then(|kept| self.decode(&kept)) else {
             return self.answer_at_the_end(after);
         };
         answer.skip(after.saturating_sub(answer.header().sequence));
         let fits = (ANSWER_BYTES / answer.item_bytes().max(1)).max(1) as u64;
         let limit = range.limit.clamp(1, fits);
-        for block in self.blocks.iter().skip(first + 1) {
+        for block in blocks {
             if answer.count() >= limit {
                 break;
             }
-            let Some(mut block) = self.decode(block) else {
+            let Some(mut block) = self.decode(&block) else {
                 break;
             };
             block.truncate(limit - answer.count());
@@ -217,8 +224,8 @@ impl<B: Block> Ring<B> {
         Answer::Block(answer)
     }
 
-    fn decode(&self, kept: &Kept) -> Option<B> {
-        let mut block = kept.decode::<B>()?;
+    fn decode(&self, kept: &Kept<'_>) -> Option<B> {
+        let mut block = decode::<B>(kept)?;
         block.set_term(self.term);
         Some(block)
     }
@@ -226,7 +233,7 @@ impl<B: Block> Ring<B> {
     /// Whoever has all items may still not know that the stream has ended.
     fn answer_at_the_end(&self, after: u64) -> Answer<B> {
         let has_all = self.state == StreamState::Ended && after == self.next;
-        match self.blocks.back().filter(|_| has_all).and_then(|kept| self.decode(kept)) {
+        match self.blocks.back().filter(|_| has_all).and_then(|kept| self.decode(&kept)) {
             Some(mut end) => {
                 end.skip(end.count());
                 Answer::Block(end)
@@ -237,6 +244,10 @@ impl<B: Block> Ring<B> {
             }),
         }
     }
+}
+
+fn decode<B: Block>(kept: &Kept<'_>) -> Option<B> {
+    B::decode(&B::encoding(), kept.payload).ok() // it was encoded here
 }
 
 #[cfg(test)]
@@ -250,7 +261,7 @@ mod tests {
     }
 
     fn ring(capacity: u64, blocks: &[u64]) -> Ring<crate::FrameBlock> {
-        let mut ring = Ring::new("source".into(), 1, capacity);
+        let mut ring = Ring::new("source".into(), 1, Keep::last(capacity));
         for &count in blocks {
             let next = ring.next();
             push(&mut ring, &frames(1, next, count)).unwrap();
@@ -294,22 +305,53 @@ mod tests {
         assert_eq!(numbers(ring.answer(&range(0, 100))), (0, 14));
     }
 
-    #[test]
+    /// A ring into which a block of two frames is put each second, and what it has then.
     #[expect(clippy::disallowed_methods, reason = "the beginning of times that are then given")]
-    fn what_is_old_is_forgotten_but_for_the_last_items() {
-        let forget = Forget { at_least: 4, after: Duration::from_secs(30) };
-        let mut ring = ring(100, &[]).forgetting(Some(forget));
+    fn of_a_minute(keep: Keep, release: impl Fn(u64) -> u64) -> (Ring<crate::FrameBlock>, Instant) {
+        let mut ring = Ring::new("source".into(), 1, keep);
         let start = Instant::now();
         for second in 0..60 {
             let block = frames(1, 2 * second, 2);
-            let payload = block.encode().unwrap().into();
-            ring.push(&block, payload, start + Duration::from_secs(second)).unwrap();
+            ring.release(1, release(second));
+            ring.push(&block, &block.encode().unwrap(), start + Duration::from_secs(second)).unwrap();
         }
+        (ring, start)
+    }
+
+    #[test]
+    fn what_is_old_is_forgotten_but_for_the_last_items() {
+        let forget = Forget { at_least: 4, after: Duration::from_secs(30) };
+        let (mut ring, start) = of_a_minute(Keep { needed: Some(forget), ..Keep::last(100) }, |_| 0);
         assert_eq!(ring.first(), 60, "30 s of the last 60");
         let late = frames(1, 120, 1);
-        let payload = late.encode().unwrap().into();
-        ring.push(&late, payload, start + Duration::from_secs(1000)).unwrap();
+        ring.push(&late, &late.encode().unwrap(), start + Duration::from_secs(1000)).unwrap();
         assert_eq!((ring.first(), ring.next()), (116, 121), "whole blocks with four items or more");
+    }
+
+    #[test]
+    fn what_is_needed_stays_longer_than_what_was_released() {
+        let keep = Keep {
+            needed: Some(Forget { at_least: 40, after: Duration::from_secs(30) }),
+            released: Some(Forget { at_least: 4, after: Duration::from_secs(10) }),
+            ..Keep::last(100)
+        };
+        let first = |release: fn(u64) -> u64| of_a_minute(keep, release).0.first();
+        assert_eq!(first(|_| 0), 60, "nobody says anything: 30 s");
+        assert_eq!(first(|second| 2 * second), 100, "the reader has all: 10 s");
+        assert_eq!(first(|second| second.min(15) * 2), 60, "it has gone away, and what it had is old anyway");
+        assert_eq!(first(|second| second.min(40) * 2), 80, "it has gone away, and finds all that it has not");
+        let restarted = of_a_minute(keep, |second| 2 * second);
+        let mut ring = restarted.0;
+        push(&mut ring, &frames(2, 0, 1)).unwrap();
+        ring.release(1, 1000);
+        assert_eq!((ring.first(), ring.released), (0, 0), "nothing is released of an epoch that has begun");
+    }
+
+    #[test]
+    fn what_is_full_forgets_also_what_is_needed() {
+        let keep = Keep { released: Some(Forget { at_least: 0, after: Duration::ZERO }), ..Keep::last(40) };
+        assert_eq!(of_a_minute(keep, |_| 0).0.first(), 80);
+        assert_eq!(of_a_minute(keep, |second| 2 * second).0.first(), 118, "the last block is always kept");
     }
 
     #[test]
@@ -344,7 +386,7 @@ mod tests {
 
     #[test]
     fn a_ring_that_goes_on_expects_the_next_item_and_says_where_it_is() {
-        let mut ring = Ring::new("source".into(), 1, 5).going_on(7, StreamState::Running);
+        let mut ring = Ring::new("source".into(), 1, Keep::last(5)).going_on(7, StreamState::Running);
         assert_eq!((ring.first(), numbers(ring.answer(&range(0, 9)))), (7, (7, 7)));
         assert!(push(&mut ring, &frames(1, 0, 1)).is_err());
         push(&mut ring, &frames(1, 7, 2)).unwrap();

@@ -256,9 +256,10 @@ impl Bus {
     async fn reader<B: Block>(
         &self,
         stream: Reading<B>,
-    ) -> Result<(Reader<B>, mpsc::Receiver<Sample>, Source), BusError> {
+    ) -> Result<(Reader<B>, mpsc::Receiver<Box<Sample>>, Source), BusError> {
         let Reading { key, buffer_key, settings, check } = stream;
         let overflowed = Arc::new(AtomicU64::new(0));
+        // In boxes: a queue has room for 32 of what it holds from the first one on, and there is one for each node.
         let (samples, arrived) = mpsc::channel(settings.queue.max(1));
         let counts = Arc::new(Mutex::new(StreamCounts::default()));
         let flooded = Arc::new(AtomicU64::new(0));
@@ -269,7 +270,7 @@ impl Bus {
             .callback(move |sample: Sample| {
                 if intake.lock().unwrap_or_else(PoisonError::into_inner).take(&sample).is_err() {
                     too_often.fetch_add(1, Ordering::Relaxed);
-                } else if samples.try_send(sample).is_err() {
+                } else if samples.try_send(Box::new(sample)).is_err() {
                     full.fetch_add(1, Ordering::Relaxed);
                 }
             })
@@ -351,7 +352,7 @@ struct Reader<B> {
 }
 
 impl<B: Block> Reader<B> {
-    async fn run(mut self, mut arrived: mpsc::Receiver<Sample>, out: Out<B>) {
+    async fn run(mut self, mut arrived: mpsc::Receiver<Box<Sample>>, out: Out<B>) {
         self.follower.idle(&mut self.actions); // what was put before this reader came
         // Moved only when it has gone off or lies too far ahead: a timer set anew for each block costs more than reading the block.
         let mut idle = std::pin::pin!(sleep(self.idle_pause()));

@@ -18,5 +18,5 @@ pub(crate) fn frames(epoch: u64, sequence: u64, count: u64) -> FrameBlock {
 #[expect(clippy::disallowed_methods, reason = "a publisher goes by the clock")]
 pub(crate) fn push(ring: &mut crate::Ring<FrameBlock>, block: &FrameBlock) -> Result<(), crate::NotConsecutive> {
     let payload = crate::message::Message::encode(block).unwrap();
-    ring.push(block, payload.into(), std::time::Instant::now())
+    ring.push(block, &payload, std::time::Instant::now())
 }

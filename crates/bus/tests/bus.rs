@@ -8,8 +8,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, Bus, BusConfig, BusError, Delivery, Event, EventKind, FrameBlock, Header, Keys, Message, Mode,
-    NumberedPublisher, NumberedStream, Service, Start, Stream, StreamSettings, StreamState,
+    Block, Bus, BusConfig, BusError, Delivery, Event, EventKind, Forget, FrameBlock, Gap, Header, Keep, Keys, Message,
+    Mode, NumberedPublisher, NumberedStream, Service, Start, Stream, StreamSettings, StreamState,
 };
 use tokio::time::timeout;
 use zenoh::Wait;
@@ -56,6 +56,10 @@ fn frames(epoch: u64, sequence: u64, count: u64) -> FrameBlock {
 }
 
 async fn publisher(bus: &Bus, capacity: u64) -> NumberedPublisher<FrameBlock> {
+    publisher_that_keeps(bus, Keep::last(capacity)).await
+}
+
+async fn publisher_that_keeps(bus: &Bus, keep: Keep) -> NumberedPublisher<FrameBlock> {
     let stream = NumberedStream {
         key: keys().frames(),
         buffer_key: keys().recording(),
@@ -63,8 +67,7 @@ async fn publisher(bus: &Bus, capacity: u64) -> NumberedPublisher<FrameBlock> {
         epoch: 1,
         first: 0,
         state: StreamState::Running,
-        capacity,
-        forget: None,
+        keep,
     };
     bus.publish_numbered(stream).await.unwrap()
 }
@@ -75,7 +78,11 @@ async fn reader(bus: &Bus, settings: StreamSettings) -> Stream<FrameBlock> {
 
 /// Reads up to item `end`; everything must be there, in order.
 async fn read_all(stream: &Stream<FrameBlock>, end: u64) {
-    let mut next = 0;
+    read_from(0, stream, end).await;
+}
+
+async fn read_from(first: u64, stream: &Stream<FrameBlock>, end: u64) {
+    let mut next = first;
     while next < end {
         let delivery = timeout(DEADLINE, stream.deliveries().recv_async()).await;
         match delivery.expect("the stream hangs").unwrap() {
@@ -129,6 +136,23 @@ async fn a_reader_in_the_same_session_that_stalls_loses_nothing() {
         publisher.put(frames(1, block * 10, 10)).await.unwrap();
     }
     read_all(&stream, 10_000).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_was_away_finds_what_it_had_not_however_soon_the_rest_is_forgotten() {
+    let (first, second) = pair().await;
+    let keep = Keep { released: Some(Forget { at_least: 0, after: Duration::ZERO }), ..Keep::last(10_000) };
+    let publisher = publisher_that_keeps(&first, keep).await;
+    for block in 0..100 {
+        publisher.release(1, 10 * block.min(30));
+        publisher.put(frames(1, block * 10, 10)).await.unwrap();
+    }
+    let back = StreamSettings::new(Start::At { epoch: 1, sequence: 300 });
+    read_from(300, &reader(&second, back).await, 1000).await;
+    let new = reader(&second, StreamSettings::new(Start::Beginning)).await;
+    let delivery = timeout(DEADLINE, new.deliveries().recv_async()).await;
+    let forgotten = Gap { epoch: 1, from: 0, to: 300 };
+    assert_eq!(delivery.unwrap(), Ok(Delivery::Gap(forgotten)), "what nobody needs any more");
 }
 
 #[tokio::test(flavor = "multi_thread")]

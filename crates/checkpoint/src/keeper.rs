@@ -4,10 +4,19 @@ use crate::error::CheckpointError;
 use crate::failures::Failures;
 use crate::series::{Checkpoints, Place};
 use serde::Serialize;
+use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tracing::{info, warn};
+
+/// A moment of the last `period`, from which on its ends are counted: services that are started together do not all wait for the disk at
+/// the same moments, each with a thread of its own.
+#[must_use]
+pub fn moment_within(period: Duration) -> Instant {
+    let share = RandomState::new().hash_one(()) as f64 / u64::MAX as f64;
+    Instant::now().checked_sub(period.mul_f64(share)).unwrap_or_else(Instant::now)
+}
 
 /// Keeps the states of a service, one at a time, on a thread that may wait for the disk.
 ///
@@ -25,7 +34,7 @@ impl Keeper {
     /// Keeps states among these checkpoints, with so much time between two of them.
     #[must_use]
     pub fn new(checkpoints: Checkpoints, every: Duration) -> Self {
-        Self { checkpoints, every, last: Instant::now(), saving: None, failures: Failures::default() }
+        Self { checkpoints, every, last: moment_within(every), saving: None, failures: Failures::default() }
     }
 
     /// The checkpoints.

@@ -32,5 +32,5 @@ mod series;
 pub use envelope::{Identity, fingerprint};
 pub use error::{CheckpointError, Refusal};
 pub use failures::Failures;
-pub use keeper::Keeper;
+pub use keeper::{Keeper, moment_within};
 pub use series::{Checkpoints, Loaded, Place, Remembering};

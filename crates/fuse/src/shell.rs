@@ -3,7 +3,7 @@
 use crate::error::FuseError;
 use crate::fusion::{Fusion, FusionState, Input, Output};
 use spandrel_bus::{
-    BoxedFuture, Bus, BusError, Description, DisplayPublisher, EstimateBlock, Event, FeedbackMessage, Keys,
+    BoxedFuture, Bus, BusError, Description, DisplayPublisher, EstimateBlock, Event, FeedbackMessage, Keep, Keys,
     LatestPublisher, LiveToken, LiveWatch, LocalMessage, Message, Name, NodeDisplay, NumberedPublisher, NumberedStream,
     OutlierDisplay, ParameterDisplay, ProgressPublisher, Service, Status, StreamState, Subscription,
 };
@@ -80,8 +80,7 @@ impl FuseService {
                     epoch: core.epoch(),
                     first: 0,
                     state: StreamState::Running,
-                    capacity: ESTIMATES_KEPT,
-                    forget: None,
+                    keep: Keep::last(ESTIMATES_KEPT),
                 })
                 .await?;
             let mut parameters = BTreeMap::new();

@@ -8,6 +8,7 @@ use crate::display::{Decimation, ParameterView, noise_display};
 use crate::error::IdentifyError;
 use crate::estimator::Estimator;
 use crate::model_classes::ClassView;
+use crate::pieces::MOST_ITEMS;
 use crate::screening::ScreeningView;
 use hearing::Hearing;
 use serde::{Deserialize, Serialize};
@@ -26,8 +27,8 @@ const BRIDGED_GAP_S: f64 = 10.0;
 const STUCK_S: f64 = 2.0;
 const STUCK_SAMPLES: u64 = 50;
 
-/// Longest estimate block that one input makes: what comes of a long gap is cut.
-const LONGEST_BLOCK: usize = 4096;
+/// Most frames of a gap that are bridged at once.
+const MOST_BRIDGED: u64 = MOST_ITEMS;
 
 /// Most bytes of an estimate block, unless one estimate has more: with its covariance one of forty parameters has 7 kB, and a thousand of them
 /// would be more than a message may have.
@@ -47,13 +48,23 @@ pub(crate) static POISONED: std::sync::atomic::AtomicU64 = std::sync::atomic::At
 pub enum Input {
     /// Frames that continue those before, or begin a new epoch.
     Frames(FrameBlock),
-    /// Frames of the running epoch that can no longer be had: numbers `from` to before `to`.
+    /// Frames of the running epoch that can no longer be had: numbers `from` to before `to`, or what is left of them.
     Gap {
         /// Number of the first missing frame.
+        since: u64,
+        /// Number of the first of them that is not done yet.
         from: u64,
         /// Number of the first frame after the gap.
         to: u64,
     },
+}
+
+impl Input {
+    /// Frames that can no longer be had, from number `from` to before `to`.
+    #[must_use]
+    pub fn gap(from: u64, to: u64) -> Self {
+        Self::Gap { since: from, from, to }
+    }
 }
 
 /// What the core has to say.
@@ -241,9 +252,25 @@ impl Identification {
 
     /// Takes one input and appends what follows from it.
     pub fn handle(&mut self, input: Input, outputs: &mut Vec<Output>) {
+        let mut next = Some(input);
+        while let Some(input) = next {
+            next = self.handle_part(input, outputs);
+        }
+    }
+
+    /// As [`Identification::handle`], of a long gap a part alone: returns what is left of it, so that nobody has to hold all of its
+    /// estimates, some 400 MB of 4,096 frames where there are 160 parameters.
+    #[must_use]
+    pub fn handle_part(&mut self, input: Input, outputs: &mut Vec<Output>) -> Option<Input> {
         match input {
-            Input::Frames(block) => self.take_block(&block, outputs),
-            Input::Gap { from, to } => self.bridge(from, to, outputs),
+            Input::Frames(block) => {
+                self.take_block(&block, outputs);
+                None
+            }
+            Input::Gap { since, from, to } => {
+                let done = self.bridge(since, from, to, outputs);
+                (done < to).then_some(Input::Gap { since, from: done, to })
+            }
         }
     }
 
@@ -314,9 +341,14 @@ impl Identification {
         let Some(grid) = block.grid() else {
             return; // such a block is refused when it is decoded
         };
-        let mut estimates = Vec::with_capacity(block.values.len() / usize::from(block.channels).max(1));
-        let first = block.header.sequence;
+        let most = self.most_of_a_block();
+        let mut estimates = Vec::with_capacity(most.min(block.count() as usize));
+        let mut first = block.header.sequence;
         for (number, values) in block.iter() {
+            if estimates.len() == most {
+                self.publish(first, std::mem::take(&mut estimates), StreamState::Running, outputs);
+                first = number;
+            }
             self.take_frame(number, values, grid, &mut estimates, outputs);
         }
         self.publish(first, estimates, block.state, outputs);
@@ -398,50 +430,51 @@ impl Identification {
         }
     }
 
-    /// Bridges frames that are lost for good.
-    fn bridge(&mut self, from: u64, to: u64, outputs: &mut Vec<Output>) {
+    /// Bridges frames that are lost for good, or a part of them; returns the number of the first one that is left.
+    fn bridge(&mut self, since: u64, from: u64, to: u64, outputs: &mut Vec<Output>) -> u64 {
         let Some(stream) = self.stream else {
-            return; // nothing was known before the gap
+            return to; // nothing was known before the gap
         };
         let Some(grid) = TimeGrid::new(stream.t0_ns, stream.sampling_rate_hz) else {
-            return;
+            return to;
         };
-        let missing = vec![f64::NAN; self.frame.len()];
         let bridged = stream.bridged_frames();
-        let forgets = to - from.min(to) > bridged;
-        let (time_ns, lost) = (grid.time_ns(from), to.saturating_sub(from));
-        outputs.push(self.event(
-            time_ns,
-            EventKind::Gap,
-            &format!("{lost} frames are lost for good"),
-            if forgets {
-                "longer than can be bridged: parameters kept, motion forgotten"
-            } else {
-                "bridged by predictions"
-            },
-        ));
-        let mut start = from;
-        while start < to {
-            let end = to.min(start + LONGEST_BLOCK as u64);
-            let mut estimates = Vec::with_capacity((end - start) as usize);
-            for number in start..end {
-                if number - from < bridged {
+        let lost = to.saturating_sub(since);
+        let forgets = lost > bridged;
+        if from == since {
+            outputs.push(self.event(
+                grid.time_ns(from),
+                EventKind::Gap,
+                &format!("{lost} frames are lost for good"),
+                if forgets {
+                    "longer than can be bridged: parameters kept, motion forgotten"
+                } else {
+                    "bridged by predictions"
+                },
+            ));
+        }
+        let missing = vec![f64::NAN; self.frame.len()];
+        let done = to.min(from + MOST_BRIDGED.min(self.most_of_a_block() as u64));
+        if from < done {
+            let mut estimates = Vec::with_capacity((done - from) as usize);
+            for number in from..done {
+                if number - since < bridged {
                     self.take_frame(number, &missing, grid, &mut estimates, outputs);
                 } else {
                     let estimate = self.estimate(None, false);
                     estimates.push(estimate);
                 }
             }
-            self.publish(start, estimates, StreamState::Running, outputs);
-            start = end;
+            self.publish(from, estimates, StreamState::Running, outputs);
         }
-        if forgets {
+        if done == to && forgets {
             self.estimator.forget_motion();
             self.reset_band_limit();
         }
         if let Some(stream) = &mut self.stream {
-            stream.next = to;
+            stream.next = done;
         }
+        done
     }
 
     fn restart(&mut self, time_ns: i64, error: &FilterError) -> Output {
@@ -503,8 +536,13 @@ impl Identification {
         if !self.responded.is_empty() {
             outputs.push(Output::Responses(std::mem::take(&mut self.responded)));
         }
-        let mut block = EstimateBlock {
-            header: Header { source: self.source.clone(), epoch: stream.epoch, sequence: first, time_ns },
+        let header = Header { source: self.source.clone(), epoch: stream.epoch, sequence: first, time_ns };
+        outputs.push(Output::Estimates(EstimateBlock { header, estimates, state, ..self.empty_block(stream) }));
+    }
+
+    fn empty_block(&self, stream: Stream) -> EstimateBlock {
+        EstimateBlock {
+            header: Header { source: String::new(), epoch: stream.epoch, sequence: 0, time_ns: 0 },
             term: 0,
             t0_ns: stream.t0_ns,
             sampling_rate_hz: stream.sampling_rate_hz,
@@ -513,18 +551,12 @@ impl Identification {
             channels: self.observations.len() as u16,
             estimates: Vec::new(),
             state: StreamState::Running,
-        };
-        let most = (MOST_BYTES / block.item_bytes()).max(1);
-        let mut estimates = estimates;
-        while estimates.len() > most {
-            let rest = estimates.split_off(most);
-            let mut next = block.clone();
-            block.estimates = std::mem::replace(&mut estimates, rest);
-            next.header.sequence = block.end();
-            next.header.time_ns = block.grid().map_or(stream.t0_ns, |grid| grid.time_ns(next.header.sequence));
-            outputs.push(Output::Estimates(std::mem::replace(&mut block, next)));
         }
-        outputs.push(Output::Estimates(EstimateBlock { estimates, state, ..block }));
+    }
+
+    /// How many estimates have at most [`MOST_BYTES`], but at least one.
+    fn most_of_a_block(&self) -> usize {
+        self.stream.map_or(1, |stream| (MOST_BYTES / self.empty_block(stream).item_bytes()).max(1))
     }
 
     /// How many messages [`Self::display`] makes.

@@ -7,7 +7,7 @@ use spandrel_bus::{Block, Delivery, Stream, StreamCounts};
 
 /// Most items of a piece: as many as sources put at once, so that only what is fetched is cut. Three seconds with the heaviest models, 25 ms
 /// an item, and three times that on a machine with much other work; the watchdog asks a thread for an answer within 10 s.
-const MOST_ITEMS: u64 = 128;
+pub(crate) const MOST_ITEMS: u64 = 128;
 
 /// The blocks of a stream, cut where they are long; where they are cut changes no estimate.
 #[derive(Debug)]

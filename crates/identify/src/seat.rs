@@ -18,7 +18,6 @@ pub enum Precedence {
 
 /// Where an identification stands.
 #[derive(Debug)]
-#[expect(clippy::large_enum_variant, reason = "there is one for each structure")]
 pub(crate) enum Seat {
     /// Another one leads, whose state has not been taken yet: nothing is identified here.
     Joining,
@@ -54,6 +53,16 @@ impl Seat {
             Self::Joining => Standing::Joining,
             Self::StandingBy(_) => Standing::StandingBy,
             Self::Leading(_) => Standing::Leading,
+        }
+    }
+
+    /// Takes how far alert has come: what it needs no more need not stay in memory for it.
+    pub(crate) fn release(&mut self, decided: &Progress) {
+        let (epoch, first) = (decided.header.epoch, decided.kept);
+        match self {
+            Self::Joining => {}
+            Self::StandingBy(own) => own.estimates.release(epoch, first),
+            Self::Leading(own) => own.estimates.release(epoch, first),
         }
     }
 

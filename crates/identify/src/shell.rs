@@ -65,6 +65,8 @@ pub struct IdentifyService {
     last_time_ns: Option<i64>,
     epoch: u64,
     memory: Option<Memory>,
+    /// what has been decided on: other estimates stay in memory for longer
+    alert: ProgressWatch,
     /// how far ingest is, and whether its samples wait for nobody
     made: ProgressWatch,
     ingest_statuses: Subscription<Status>,
@@ -90,11 +92,9 @@ impl IdentifyService {
         precedence: Precedence,
     ) -> BoxedFuture<'a, Result<Self, IdentifyError>> {
         Box::pin(async move {
+            let alert = bus.watch_progress(keys.progress(Service::Alert)).await?;
             let memory = match remembering {
-                Some(remembering) => {
-                    let alert = bus.watch_progress(keys.progress(Service::Alert)).await?;
-                    Some(Memory::open(structure, remembering, alert)?)
-                }
+                Some(remembering) => Some(Memory::open(structure, remembering, alert.clone())?),
                 None => None,
             };
             let core = Identification::new(structure, id.as_str())?;
@@ -122,6 +122,7 @@ impl IdentifyService {
                 last_time_ns: None,
                 epoch: 0,
                 memory,
+                alert,
                 made: bus.watch_progress(keys.progress(Service::Ingest)).await?,
                 ingest_statuses: bus.subscribe(keys.statuses(Service::Ingest), STATUSES_WAITING).await?,
                 pace: None,
@@ -179,6 +180,9 @@ impl IdentifyService {
                     _ = self.ingest.changed() => self.reconsider().await?,
                     _ = status.tick() => {
                         self.reconsider().await?;
+                        if let Some(decided) = self.alert.latest() {
+                            self.seat.release(&decided);
+                        }
                         if !self.look_at_the_load().await? {
                             self.put_status().await?;
                         }
@@ -219,32 +223,36 @@ impl IdentifyService {
                 self.leave(); // the one that leads may have these frames: its state tells
                 return Ok(());
             }
-            Delivery::Gap(gap) => Input::Gap { from: gap.from, to: gap.to },
+            Delivery::Gap(gap) => Input::gap(gap.from, gap.to),
         };
         for input in self.trouble.cut(input) {
-            let (from, to) = match &input {
-                Input::Frames(block) => (block.header.sequence, block.end()),
-                Input::Gap { from, to } => (*from, *to),
-            };
-            let Some(mut core) = self.core.take() else {
-                return Err(IdentifyError::ThreadLost { structure: self.keys.structure().to_string() });
-            };
-            core.thin_display(self.load.load() != Load::Normal);
-            let work = self.pool.run(move || {
-                let mut outputs = Vec::new();
-                core.handle(input, &mut outputs);
-                (core, outputs)
-            });
-            let Some((mut core, outputs)) = work.await else {
-                return self.revive(from, to).await; // what follows comes again
-            };
-            self.shed += core.take_shed();
-            self.core = Some(core);
-            if !self.has_kept_the_lead().await? {
-                return Ok(());
-            }
-            for output in outputs {
-                self.say(output).await?;
+            let mut left = Some(input);
+            while let Some(input) = left {
+                let (from, to) = match &input {
+                    Input::Frames(block) => (block.header.sequence, block.end()),
+                    Input::Gap { from, to, .. } => (*from, *to),
+                };
+                let Some(mut core) = self.core.take() else {
+                    return Err(IdentifyError::ThreadLost { structure: self.keys.structure().to_string() });
+                };
+                core.thin_display(self.load.load() != Load::Normal);
+                let work = self.pool.run(move || {
+                    let mut outputs = Vec::new();
+                    let left = core.handle_part(input, &mut outputs);
+                    (core, outputs, left)
+                });
+                let Some((mut core, outputs, rest)) = work.await else {
+                    return self.revive(from, to).await; // what follows comes again
+                };
+                left = rest;
+                self.shed += core.take_shed();
+                self.core = Some(core);
+                if !self.has_kept_the_lead().await? {
+                    return Ok(());
+                }
+                for output in outputs {
+                    self.say(output).await?;
+                }
             }
         }
         let done = self.core.as_ref().map_or(0, Identification::done);

@@ -50,7 +50,7 @@ impl Trouble {
             single.truncate(1);
             rest.skip(1);
             parts.push(match self.set_aside.contains(&(epoch, frame)) {
-                true => Input::Gap { from: frame, to: frame + 1 },
+                true => Input::gap(frame, frame + 1),
                 false => Input::Frames(single),
             });
         }
@@ -113,7 +113,7 @@ mod tests {
     fn parts(trouble: &Trouble, input: FrameBlock) -> Vec<(i64, i64)> {
         let span = |part: Input| match part {
             Input::Frames(block) => (block.header.sequence as i64, block.end() as i64),
-            Input::Gap { from, to } => (-(from as i64), -(to as i64)),
+            Input::Gap { from, to, .. } => (-(from as i64), -(to as i64)),
         };
         trouble.cut(Input::Frames(input)).into_iter().map(span).collect()
     }

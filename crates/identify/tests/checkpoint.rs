@@ -25,7 +25,7 @@ fn inputs(structure: &Structure, frames: usize) -> Vec<Input> {
     let block = |(number, rows): (usize, &[Vec<f64>])| {
         let first = (number * BLOCK) as u64;
         if number == 3 {
-            return Input::Gap { from: first, to: first + rows.len() as u64 };
+            return Input::gap(first, first + rows.len() as u64);
         }
         let mut values = rows.concat();
         values.iter_mut().step_by(37).for_each(|value| *value = f64::NAN);

@@ -22,6 +22,15 @@ pub enum IngestError {
     /// The recording cannot be opened or ended.
     #[error(transparent)]
     Record(#[from] RecordError),
+    /// The system gives no thread to write recordings.
+    #[error("no thread for the recording")]
+    NoThread(#[source] std::io::Error),
+    /// The thread that writes a recording has panicked with it.
+    #[error("the recording of structure {structure} was lost with a panic of its thread")]
+    RecordingLost {
+        /// The structure.
+        structure: String,
+    },
     /// The bus refused a declaration or is closed.
     #[error(transparent)]
     Bus(#[from] BusError),

@@ -39,6 +39,7 @@ mod node_queue;
 mod align;
 mod lateness;
 
+mod disk;
 mod error;
 mod recorder;
 mod shell;

@@ -1,7 +1,7 @@
 //! Every frame on the disk before anybody hears of it.
 
+use std::hash::{BuildHasher, RandomState};
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use spandrel_bus::{Archive, FrameBlock, Header, StreamState};
@@ -13,6 +13,7 @@ use tokio::time::Instant;
 use tracing::{info, warn};
 
 use crate::align::NodePlace;
+use crate::disk::DiskThread;
 use crate::error::IngestError;
 use crate::layout::Layout;
 use crate::waiting::Waiting;
@@ -46,8 +47,8 @@ pub(crate) struct Past {
 #[derive(Debug)]
 pub(crate) struct Recorder {
     structure: String,
-    /// never locked: a writer of MCAP may be sent to another thread, but not shared
-    log: Mutex<FrameLog>,
+    disk: DiskThread,
+    log: FrameLog,
     reader: FrameLogReader,
     waiting: Waiting,
     /// what is noted on the disk of whether all frames that were put are recorded; none where nothing is
@@ -83,13 +84,14 @@ impl Recorder {
         let past = opened.last.map(|last| Past { nodes: places(&last), last: to_block(last), is_whole });
         let recorder = Self {
             structure: structure.to_owned(),
+            disk: DiskThread::start().map_err(IngestError::NoThread)?,
             reader: log.reader(),
-            log: Mutex::new(log),
+            log,
             waiting: Waiting::default(),
             is_noted_complete: opened.is_complete,
             refused_at: None,
             sync_every: settings.sync_every,
-            synced: Instant::now(),
+            synced: started_within(settings.sync_every),
             syncing: None,
         };
         Ok((recorder, past))
@@ -100,9 +102,25 @@ impl Recorder {
         RecordedFrames { reader: self.reader.clone() }
     }
 
-    /// Writes blocks, which may be put from then on. A disk that refuses keeps nobody from seeing them: they wait here, and are
-    /// written when it takes them.
-    pub(crate) fn write(&mut self, blocks: &[FrameBlock], places: &[NodePlace]) {
+    /// Writes blocks, on the thread for that, and gives itself and them back: they may be put from then on. A disk that refuses keeps
+    /// nobody from seeing them: they wait here, and are written when it takes them.
+    ///
+    /// # Errors
+    /// The thread has panicked.
+    pub(crate) async fn record(
+        mut self: Box<Self>,
+        blocks: Vec<FrameBlock>,
+        places: Vec<NodePlace>,
+    ) -> Result<(Box<Self>, Vec<FrameBlock>), IngestError> {
+        let (disk, structure) = (self.disk.clone(), self.structure.clone());
+        let work = disk.run(move || {
+            self.write(&blocks, &places);
+            (self, blocks)
+        });
+        work.await.ok_or(IngestError::RecordingLost { structure })
+    }
+
+    fn write(&mut self, blocks: &[FrameBlock], places: &[NodePlace]) {
         let last = blocks.len().saturating_sub(1);
         for (number, block) in blocks.iter().enumerate() {
             let nodes = if number == last { places } else { &[] };
@@ -112,6 +130,11 @@ impl Recorder {
             self.write_waiting();
         }
         self.waiting.lose_what_is_too_much();
+    }
+
+    /// Whether nothing waits for the disk.
+    pub(crate) fn has_written_all(&self) -> bool {
+        self.waiting.frames() == 0
     }
 
     /// Tries again what the disk has refused, and forces to the disk what it has taken, when it is time to.
@@ -126,7 +149,7 @@ impl Recorder {
         }
         self.report_sync().await;
         self.synced = Instant::now();
-        let syncer: LogSyncer = self.log.get_mut().unwrap_or_else(PoisonError::into_inner).syncer();
+        let syncer: LogSyncer = self.log.syncer();
         self.syncing = Some(tokio::task::spawn_blocking(move || syncer.sync()));
     }
 
@@ -134,7 +157,7 @@ impl Recorder {
     pub(crate) async fn close(mut self) -> Result<(), IngestError> {
         self.report_sync().await;
         self.write_waiting();
-        Ok(self.log.into_inner().unwrap_or_else(PoisonError::into_inner).close()?)
+        Ok(self.log.close()?)
     }
 
     /// What a status tells of it.
@@ -147,7 +170,7 @@ impl Recorder {
     /// Writes what waits, piece by piece, until the disk refuses.
     fn write_waiting(&mut self) {
         let structure = self.structure.as_str();
-        let log = self.log.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let log = &mut self.log;
         let before = self.waiting.frames();
         loop {
             let piece = self.waiting.piece();
@@ -190,6 +213,12 @@ impl Recorder {
             warn!(structure = self.structure, %error, "the recording cannot be forced to the disk");
         }
     }
+}
+
+/// A moment of the last `period`: structures that are started together do not all wait for the disk at the same moments.
+fn started_within(period: Duration) -> Instant {
+    let share = RandomState::new().hash_one(()) as f64 / u64::MAX as f64;
+    Instant::now().checked_sub(period.mul_f64(share)).unwrap_or_else(Instant::now)
 }
 
 /// The frames of a recording, for those who ask for more than is in memory.

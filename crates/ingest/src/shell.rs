@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, BoxedFuture, Bus, Delivery, DisplayPublisher, FrameBlock, Keys, LiveToken, LiveWatch, Name,
+    Block, BoxedFuture, Bus, Delivery, DisplayPublisher, Forget, FrameBlock, Keep, Keys, LiveToken, LiveWatch, Name,
     NumberedPublisher, NumberedStream, Older, Pace, ProgressPublisher, Reading, SampleBlock, Service, Start, Status,
     StreamGroup, StreamState,
 };
@@ -23,8 +23,10 @@ use crate::recorder::{Past, Recorder, RecordingSettings};
 /// Frames for readers that missed some, or begin to read; larger than the window that a replay keeps. Without a recording they
 /// are in memory.
 pub const FRAMES_KEPT: u64 = 131_072;
-/// Frames in memory where there is a recording: what comes out of it is slower.
-const FRAMES_IN_MEMORY: u64 = 8_192;
+/// Frames in memory where there is a recording, for readers that are nearly in time: those that are recorded, of which older ones come
+/// out of the recording, and those that wait for the disk.
+const IN_MEMORY: Keep =
+    Keep { last: 8_192, needed: None, released: Some(Forget { at_least: 1_024, after: Duration::ZERO }) };
 
 /// How often the status is put.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
@@ -96,7 +98,8 @@ pub struct IngestService {
     pace_heard: Option<Pace>,
     done: u64,
     last_time_ns: Option<i64>,
-    recorder: Option<Recorder>,
+    /// away while the thread for that writes
+    recorder: Option<Box<Recorder>>,
     token: LiveToken,
 }
 
@@ -136,7 +139,7 @@ impl IngestService {
                     let structure = keys.structure().as_str();
                     let opened =
                         tokio::task::block_in_place(|| Recorder::open(structure, &layout, channels, recording))?;
-                    (Some(opened.0), opened.1)
+                    (Some(Box::new(opened.0)), opened.1)
                 }
                 None => (None, None),
             };
@@ -150,8 +153,7 @@ impl IngestService {
                 epoch,
                 first: 0,
                 state: StreamState::Running,
-                capacity: if recorder.is_some() { FRAMES_IN_MEMORY } else { FRAMES_KEPT },
-                forget: None,
+                keep: if recorder.is_some() { IN_MEMORY } else { Keep::last(FRAMES_KEPT) },
             };
             let mut core = Alignment::new(layout.clone(), id.to_string(), epoch);
             let mut places: Vec<NodePlace> = Vec::new();
@@ -305,15 +307,20 @@ impl IngestService {
     async fn handle(&mut self, input: Input) -> Result<(), IngestError> {
         let mut blocks = Vec::new();
         self.core.handle(input, &mut blocks);
-        if let Some(recorder) = self.recorder.as_mut().filter(|_| !blocks.is_empty()) {
-            let places = self.core.places();
-            tokio::task::block_in_place(|| recorder.write(&blocks, &places));
+        if let Some(recorder) = self.recorder.take_if(|_| !blocks.is_empty()) {
+            let (recorder, recorded) = recorder.record(blocks, self.core.places()).await?;
+            self.recorder = Some(recorder);
+            blocks = recorded;
         }
+        let is_recorded = self.recorder.as_ref().is_some_and(|recorder| recorder.has_written_all());
         for block in blocks {
             let epoch = block.header.epoch;
             if let Some((number, _)) = block.iter().last() {
                 self.done = number + 1;
                 self.last_time_ns = block.grid().map(|grid| grid.time_ns(number));
+            }
+            if is_recorded {
+                self.frames.release(epoch, block.end());
             }
             self.frames.put(block).await?;
             self.progress.set(epoch, self.done, self.last_time_ns.unwrap_or(i64::MIN));
@@ -387,7 +394,7 @@ impl IngestService {
         for (reason, count) in self.nodes.counts().flat_map(|counts| counts.drops()) {
             *drops.entry(reason).or_default() += count;
         }
-        drops.extend(self.recorder.iter().flat_map(Recorder::drops));
+        drops.extend(self.recorder.iter().flat_map(|recorder| recorder.drops()));
         let status = Status {
             structure: self.keys.structure().clone(),
             service: self.service.clone(),

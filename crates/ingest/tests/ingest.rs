@@ -7,8 +7,8 @@ use std::net::TcpListener;
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, Bus, BusConfig, Delivery, FrameBlock, Header, Keys, Message, Name, NumberedPublisher, NumberedStream, Pace,
-    SampleBlock, Service, Start, Status, Stream, StreamSettings, StreamState,
+    Block, Bus, BusConfig, Delivery, FrameBlock, Header, Keep, Keys, Message, Name, NumberedPublisher, NumberedStream,
+    Pace, SampleBlock, Service, Start, Status, Stream, StreamSettings, StreamState,
 };
 use spandrel_ingest::{IngestService, IngestSettings, Layout, NodeLayout, Waiting};
 use tokio::time::timeout;
@@ -55,8 +55,7 @@ async fn node(bus: &Bus, text: &str) -> NumberedPublisher<SampleBlock> {
         epoch: 1,
         first: 0,
         state: StreamState::Running,
-        capacity: 100_000,
-        forget: None,
+        keep: Keep::last(100_000),
     };
     bus.publish_numbered(stream).await.unwrap()
 }

@@ -49,6 +49,7 @@ mod note;
 mod opening;
 mod payload;
 mod reader;
+mod records;
 mod scan;
 mod segment;
 mod syncer;
@@ -69,8 +70,8 @@ pub use syncer::LogSyncer;
 
 use crate::RecordError;
 
-/// Chunks after which a segment ends: the writer of MCAP holds the index of all of them, about 300 bytes each, and live samples in blocks
-/// of 50 ms are twenty chunks a second.
+/// Chunks after which a segment ends: live samples in blocks of 50 ms are twenty chunks a second, and the end of a segment goes over all of
+/// its chunks.
 const MOST_CHUNKS: u32 = 1 << 12;
 const NANOSECONDS: u64 = 1_000_000_000;
 
@@ -200,9 +201,9 @@ impl FrameLog {
         let begins = self.segment.is_none();
         let mut segment = match self.segment.take() {
             Some(segment) => segment,
-            None => OpenSegment::create(self.folder.path(), name, &self.stated)?,
+            None => OpenSegment::create(self.folder.path(), name)?,
         };
-        let (offset, length) = match segment.append(&blocks) {
+        let (offset, length) = match segment.append(&blocks, &self.stated) {
             Ok(place) => place,
             Err(error) => {
                 self.cut_back(segment);
@@ -313,7 +314,7 @@ impl FrameLog {
         let Some(segment) = self.segment.take() else { return Ok(()) };
         let (name, bytes) = (segment.name(), segment.bytes());
         self.syncer.written(segment.path(), segment.file());
-        let finished = segment.finish();
+        let finished = segment.finish(&self.stated);
         let mut segments = self.folder.segments();
         segments.set_size(name, *finished.as_ref().unwrap_or(&bytes));
         segments.end_written();

@@ -4,8 +4,8 @@ use std::future::Future;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use spandrel_bus::{
-    Block, BoxedFuture, Bus, CaughtUp, FrameBlock, Keys, LiveToken, NumberedPublisher, NumberedStream, Pace, Progress,
-    ProgressWatch, SampleBlock, Service, StreamState, TimeGrid,
+    Block, BoxedFuture, Bus, CaughtUp, FrameBlock, Keep, Keys, LiveToken, NumberedPublisher, NumberedStream, Pace,
+    Progress, ProgressWatch, SampleBlock, Service, StreamState, TimeGrid,
 };
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until, timeout};
@@ -101,8 +101,7 @@ impl SensorService {
                     epoch: settings.epoch,
                     first: 0,
                     state: StreamState::Running,
-                    capacity: SAMPLES_KEPT,
-                    forget: None,
+                    keep: Keep::last(SAMPLES_KEPT),
                 };
                 publishers.push(bus.publish_numbered(stream).await?);
             }

@@ -3,7 +3,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::message::{Estimate, EstimateBlock, EstimateFlags, FrameBlock, Header, Phase};
-use crate::ring::Ring;
+use crate::ring::{Keep, Ring};
 use crate::testing::{frames, push};
 
 /// A source with its ring, a reader, and what the reader has got.
@@ -18,7 +18,7 @@ struct Rig {
 impl Rig {
     fn new(start: Start, capacity: u64, limit: u64) -> Self {
         Self {
-            ring: Ring::new("source".into(), 1, capacity),
+            ring: Ring::new("source".into(), 1, Keep::last(capacity)),
             follower: Follower::new(start, limit, Patience::Limited),
             actions: VecDeque::new(),
             fetch: None,
@@ -609,11 +609,11 @@ fn what_the_one_before_answers_is_asked_for_again_and_nothing_is_given_up() {
 
 #[test]
 fn what_was_kept_while_standing_by_is_answered_in_the_term_of_the_lead() {
-    let mut ring = Ring::<EstimateBlock>::new("b".into(), 1, 100).going_on(5, StreamState::Running);
+    let mut ring = Ring::<EstimateBlock>::new("b".into(), 1, Keep::last(100)).going_on(5, StreamState::Running);
     let block = estimates(0, "b", 5, 3);
     let payload = crate::message::Message::encode(&block).unwrap();
     #[expect(clippy::disallowed_methods, reason = "a publisher goes by the clock")]
-    ring.push(&block, payload.into(), std::time::Instant::now()).unwrap();
+    ring.push(&block, &payload, std::time::Instant::now()).unwrap();
     ring.lead(9);
     let range = QueryRange { after: 0, limit: 100, epoch: Some(1) };
     assert_eq!(ring.answer(&range), Answer::Block(estimates(9, "b", 5, 3)));

@@ -97,7 +97,7 @@ fn lost_frames_are_bridged_and_numbering_goes_on() {
     let mut blocks = cut(frames(400), &[200, 50]);
     let after = blocks.pop().unwrap();
     core.handle(Input::Frames(blocks.remove(0)), &mut outputs);
-    core.handle(Input::Gap { from: 200, to: 250 }, &mut outputs);
+    core.handle(Input::gap(200, 250), &mut outputs);
     core.handle(Input::Frames(after), &mut outputs);
     let estimates = estimates(&outputs);
     assert_eq!((estimates.len(), core.done()), (400, 400));
@@ -117,7 +117,7 @@ fn motion_is_forgotten_over_a_gap_too_long_to_bridge() {
         Estimator::Classes(_) | Estimator::Particles(_) => panic!("the demo has one filter"),
     };
     let before = mean(&core);
-    core.handle(Input::Gap { from: 3000, to: 9000 }, &mut outputs);
+    core.handle(Input::gap(3000, 9000), &mut outputs);
     assert_eq!(estimates(&outputs).len(), 9000);
     let after = mean(&core);
     assert!(after.rows(0, 10).iter().all(|entry| *entry == 0.0), "the motion is back at its prior");
@@ -130,7 +130,7 @@ fn estimates_of_a_long_gap_come_in_blocks_that_can_be_sent() {
     let mut core = Identification::new(&structure(), "identify").unwrap();
     let mut outputs = Vec::new();
     core.handle(Input::Frames(frames(200)), &mut outputs);
-    core.handle(Input::Gap { from: 200, to: 9000 }, &mut outputs);
+    core.handle(Input::gap(200, 9000), &mut outputs);
     let (mut next, mut grid) = (0, None);
     let blocks = outputs.iter().filter_map(|output| match output {
         Output::Estimates(block) => Some(block),
@@ -144,6 +144,54 @@ fn estimates_of_a_long_gap_come_in_blocks_that_can_be_sent() {
         next = block.end();
     }
     assert_eq!(next, 9000);
+}
+
+/// All responses of a block of frames were told before its first estimates, so that a file had them in the rows of those alone.
+#[test]
+fn responses_are_told_with_the_estimates_of_their_frames() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
+    let response = "\n[[response]]\nname = \"roof\"\nquantity = \"displacement\"\ndof = \"floor-5\"\n";
+    let text = std::fs::read_to_string(&path).unwrap() + response;
+    let mut core = Identification::new(&Structure::parse(&text, &path).unwrap(), "identify").unwrap();
+    let mut outputs = Vec::new();
+    core.handle(Input::Frames(frames(8000)), &mut outputs);
+    let lengths: Vec<usize> = outputs
+        .iter()
+        .filter_map(|output| match output {
+            Output::Responses(rows) => Some(rows.len()),
+            Output::Estimates(block) => Some(block.estimates.len()),
+            _ => None,
+        })
+        .collect();
+    assert!(lengths.len() > 2, "one block: {lengths:?}");
+    assert!(lengths.chunks(2).all(|pair| pair[0] == pair[1]), "{lengths:?}");
+    assert_eq!(lengths.iter().sum::<usize>(), 2 * 8000);
+}
+
+/// All estimates of a gap were in memory at once, 417 MB of 4,096 frames of a structure with 160 parameters.
+#[test]
+fn a_long_gap_is_bridged_part_by_part_with_the_same_bits() {
+    let begun = || {
+        let mut core = Identification::new(&structure(), "identify").unwrap();
+        core.handle(Input::Frames(frames(200)), &mut Vec::new());
+        core
+    };
+    let said = |outputs: &[Output]| outputs.iter().map(|output| format!("{output:?}")).collect::<Vec<_>>();
+    let (mut whole, mut outputs) = (begun(), Vec::new());
+    whole.handle(Input::gap(200, 9000), &mut outputs);
+    let (mut core, mut together, mut left) = (begun(), Vec::new(), Some(Input::gap(200, 9000)));
+    let mut dones = Vec::new();
+    while let Some(input) = left {
+        let mut part = Vec::new();
+        left = core.handle_part(input, &mut part);
+        assert!(estimates(&part).len() as u64 <= MOST_BRIDGED, "{} at once", estimates(&part).len());
+        together.extend(said(&part));
+        dones.push(core.done());
+    }
+    assert_eq!(together, said(&outputs));
+    assert_eq!(events(&outputs).iter().filter(|event| event.kind == EventKind::Gap).count(), 1, "it is told once");
+    assert_eq!(core.state(), whole.state());
+    assert!(dones.len() > 60 && dones.last() == Some(&9000), "{dones:?}");
 }
 
 #[test]

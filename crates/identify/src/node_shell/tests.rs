@@ -1,6 +1,6 @@
 use super::*;
 use crate::node::POISONED;
-use spandrel_bus::{BusConfig, Header, NumberedPublisher, NumberedStream, StreamState};
+use spandrel_bus::{BusConfig, Header, Keep, NumberedPublisher, NumberedStream, StreamState};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -36,8 +36,7 @@ impl Lives {
             epoch: 7,
             first: FIRST,
             state: StreamState::Running,
-            capacity: 10_000,
-            forget: None,
+            keep: Keep::last(10_000),
         };
         let samples = bus.publish_numbered(stream).await.unwrap();
         let folder = tempfile::tempdir().unwrap();

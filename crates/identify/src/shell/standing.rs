@@ -6,7 +6,7 @@ use crate::identification::Identification;
 use crate::memory::{Memory, identity};
 use crate::seat::{Held, Leading, Seat, StandingBy, next_term};
 use spandrel_bus::{
-    Claim, Description, EncodeError, EventKind, Forget, Header, MAX_MESSAGE_BYTES, Message as _, NumberedStream,
+    Claim, Description, EncodeError, EventKind, Forget, Header, Keep, MAX_MESSAGE_BYTES, Message as _, NumberedStream,
     Question, Service, StateMessage, StreamState,
 };
 use spandrel_structure::Structure;
@@ -16,10 +16,15 @@ use tokio::task::spawn_blocking;
 use tokio::time::Instant;
 use tracing::{info, warn};
 
-/// Estimates kept for readers that missed some, for a while.
+/// Estimates kept for readers that missed some, at most.
 pub const ESTIMATES_KEPT: u64 = 32_768;
-/// In live operation fewer: larger than the window that a replay keeps.
-const FORGET: Forget = Forget { at_least: 8_192, after: Duration::from_secs(30) };
+/// Those that alert may need, if it is started again, are kept for longer than it should take, and are more than the window of a replay;
+/// what it needs no more stays for other readers, whose links may fail for a while.
+const KEEP: Keep = Keep {
+    last: ESTIMATES_KEPT,
+    needed: Some(Forget { at_least: 8_192, after: Duration::from_secs(30) }),
+    released: Some(Forget { at_least: 1_024, after: Duration::from_secs(15) }),
+};
 
 /// Questions for the state that wait; one more is not heard, and asked again.
 const QUESTIONS_WAITING: usize = 4;
@@ -135,8 +140,7 @@ impl IdentifyService {
             epoch,
             first,
             state: StreamState::Running,
-            capacity: ESTIMATES_KEPT,
-            forget: Some(FORGET),
+            keep: KEEP,
         };
         let estimates = self.bus.stand_by_numbered(stream).await?;
         self.frames = Some(follow_frames(&self.structure, &self.bus, &self.keys, start_of(&core)).await?);

@@ -1,6 +1,6 @@
 use super::*;
 use crate::identification::POISONED;
-use spandrel_bus::{Block, BusConfig, EstimateBlock, Header, NumberedStream};
+use spandrel_bus::{Block, BusConfig, EstimateBlock, Header, Keep, NumberedStream};
 use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::atomic::Ordering;
@@ -45,7 +45,7 @@ fn without_the_frame() -> Vec<String> {
             false => core.handle(Input::Frames(block), &mut outputs),
             true => {
                 core.handle(Input::Frames(before), &mut outputs);
-                core.handle(Input::Gap { from: POISON, to: POISON + 1 }, &mut outputs);
+                core.handle(Input::gap(POISON, POISON + 1), &mut outputs);
                 core.handle(Input::Frames(after), &mut outputs);
             }
         }
@@ -69,8 +69,7 @@ async fn estimates_of_a_service_that_dies(remembering: Option<Remembering>) -> (
         epoch: 7,
         first: FIRST,
         state: StreamState::Running,
-        capacity: 10_000,
-        forget: None,
+        keep: Keep::last(10_000),
     };
     let frames = bus.publish_numbered::<FrameBlock>(stream).await.unwrap();
     let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();

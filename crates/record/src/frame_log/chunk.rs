@@ -11,7 +11,7 @@ use crate::mcap_record::parse_record;
 /// Opcode and length before the body of a record.
 pub(super) const RECORD_HEAD_BYTES: u64 = 9;
 /// Bytes of the body of a chunk that is not compressed, before its records.
-const CHUNK_HEAD_BYTES: usize = 40;
+pub(super) const CHUNK_HEAD_BYTES: usize = 40;
 
 /// What a chunk holds.
 #[derive(Debug, Default)]
@@ -22,7 +22,10 @@ pub(super) struct ChunkContent {
     pub(super) blocks: Vec<LoggedFrames>,
 }
 
-/// Frames of one epoch in one chunk.
+/// Small chunks share an entry of so many bytes of the file: live ones have some 500.
+const SHARED_BYTES: u64 = 8 << 10;
+
+/// Frames of one epoch in one chunk, or in several that follow each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Entry {
     pub(super) epoch: u64,
@@ -34,9 +37,9 @@ pub(super) struct Entry {
     pub(super) frames: u64,
     /// Whether the epoch ends here.
     pub(super) ended: bool,
-    /// Byte at which the record of the chunk begins.
+    /// Byte at which the record of the first chunk begins.
     pub(super) offset: u64,
-    /// Bytes of this record.
+    /// Bytes from there to the end of the record of the last one.
     pub(super) length: u64,
 }
 
@@ -81,6 +84,25 @@ pub(super) fn chunk_content(body: &[u8]) -> Option<ChunkContent> {
     Some(content)
 }
 
+/// The chunks that are whole: where in these bytes the record of each begins and ends, and what it holds. They are looked for byte by byte,
+/// because a length that is wrong must not hide what follows.
+pub(super) fn whole_chunks(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, ChunkContent)> {
+    let mut from = 0;
+    std::iter::from_fn(move || {
+        loop {
+            let start = from + bytes.get(from..)?.iter().position(|byte| *byte == op::CHUNK)?;
+            from = start + 1;
+            let (_, length) = record_head(&bytes[start..])?;
+            let body = start + RECORD_HEAD_BYTES as usize;
+            let Some(end) = usize::try_from(length).ok().and_then(|length| body.checked_add(length)) else { continue };
+            if let Some(content) = bytes.get(body..end).and_then(chunk_content) {
+                from = end;
+                return Some((start, end, content));
+            }
+        }
+    })
+}
+
 /// Appends where the frames of a chunk stand, as far as they are after those of the entries before.
 pub(super) fn append_entries<B: Borrow<LoggedFrames>>(
     entries: &mut Vec<Entry>,
@@ -99,10 +121,12 @@ pub(super) fn append_entries<B: Borrow<LoggedFrames>>(
             }
             if epoch == last.epoch {
                 first = first.max(last.end).min(end);
-                if last.offset == offset {
+                let shared = offset + length - last.offset;
+                if last.offset == offset || (!last.ended && shared <= SHARED_BYTES) {
                     last.frames += end - first;
                     last.end = end;
                     last.ended = ended;
+                    last.length = shared;
                     continue;
                 }
             }

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::sync::Arc;
 
-use super::chunk::{Entry, RECORD_HEAD_BYTES, chunk_content, record_head};
+use super::chunk::{Entry, whole_chunks};
 use super::folder::{Folder, is_gone};
 use super::segment::SegmentName;
 use super::{LogSpan, LoggedFrames};
@@ -74,14 +74,8 @@ impl FrameLogReader {
             Err(error) if is_gone(&error) => return Ok(true),
             read => read?,
         };
-        for entry in entries {
-            let start = (entry.offset - first.offset) as usize;
-            let record = bytes.get(start..).and_then(|bytes| bytes.get(..entry.length as usize));
-            let body = record.filter(|record| {
-                record_head(record).is_some_and(|(_, length)| RECORD_HEAD_BYTES + length == entry.length)
-            });
-            let content = body.and_then(|record| chunk_content(&record[RECORD_HEAD_BYTES as usize..]));
-            for block in content.map(|content| content.blocks).unwrap_or_default() {
+        for (_, _, content) in whole_chunks(&bytes) {
+            for block in content.blocks {
                 if !reading.take(block) {
                     return Ok(false);
                 }

@@ -7,7 +7,7 @@ use std::path::Path;
 use mcap::records::{Record, op};
 
 use super::LoggedFrames;
-use super::chunk::{ChunkContent, Entry, RECORD_HEAD_BYTES, append_entries, chunk_content, record_head};
+use super::chunk::{ChunkContent, Entry, RECORD_HEAD_BYTES, append_entries, chunk_content, record_head, whole_chunks};
 use super::layout::StatedLayout;
 use crate::RecordError;
 use crate::mcap_record::parse_record;
@@ -144,23 +144,14 @@ impl Pass<'_> {
     /// Looks for whole chunks behind a damaged place, byte by byte: a length that is wrong must not hide what follows.
     fn behind(&mut self, place: u64, mut found: Scan) -> std::io::Result<Scan> {
         let rest = self.at(place, self.bytes.saturating_sub(place))?;
-        let mut from = 0;
-        while let Some(next) = rest[from..].iter().position(|byte| *byte == op::CHUNK) {
-            let start = from + next;
-            from = start + 1;
-            let Some((_, length)) = record_head(&rest[start..]) else { break };
-            let Some(body) = record_body(&rest[start..], length) else { continue };
-            let Some(content) = chunk_content(body) else { continue };
-            let (offset, mut after) = (place + start as u64, start + RECORD_HEAD_BYTES as usize + body.len());
-            found.take(content, offset, place + after as u64);
-            if let Some((op::MESSAGE_INDEX, length)) = record_head(&rest[after..])
-                && let Some(index) = record_body(&rest[after..], length)
+        for (start, end, content) in whole_chunks(&rest) {
+            found.take(content, place + start as u64, place + end as u64);
+            if let Some((op::MESSAGE_INDEX, length)) = record_head(&rest[end..])
+                && let Some(index) = record_body(&rest[end..], length)
                 && is_as_long_as_stated(op::MESSAGE_INDEX, index)
             {
-                after += RECORD_HEAD_BYTES as usize + index.len();
-                found.whole = place + after as u64;
+                found.whole = place + end as u64 + RECORD_HEAD_BYTES + length;
             }
-            from = after;
         }
         Ok(found)
     }

@@ -4,15 +4,13 @@ use std::borrow::Cow;
 use std::fs::{File, OpenOptions};
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
-use mcap::records::MessageHeader;
-use mcap::{WriteOptions, Writer};
-
+use super::LoggedFrames;
 use super::chunk::{RECORD_HEAD_BYTES, record_head};
-use super::layout::{StatedLayout, TOPIC};
+use super::layout::StatedLayout;
+use super::records::{put_begin, put_chunk, write_end};
 use super::scan::mended_end;
-use super::{LoggedFrames, payload};
 use crate::RecordError;
 
 /// What a segment is named after: epoch and number of its first frame. Segments are in the order of their names.
@@ -80,62 +78,21 @@ fn end_at(file: &mut File, whole: u64) -> std::io::Result<u64> {
     }
 }
 
-/// Bytes between the writer of MCAP and the file: a chunk goes to the file in one piece.
-#[derive(Clone, Default)]
-struct Pending(Arc<Mutex<Vec<u8>>>);
-
-impl Pending {
-    fn bytes(&self) -> MutexGuard<'_, Vec<u8>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// The end that the writer of MCAP has: it knows its place in the file.
-struct Sink {
-    pending: Pending,
-    place: u64,
-}
-
-impl Write for Sink {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.pending.bytes().extend_from_slice(bytes);
-        self.place += bytes.len() as u64;
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        Ok(())
-    }
-}
-
-impl Seek for Sink {
-    fn seek(&mut self, place: SeekFrom) -> std::io::Result<u64> {
-        match place {
-            SeekFrom::Current(0) => Ok(self.place),
-            _ => Err(std::io::ErrorKind::Unsupported.into()),
-        }
-    }
-}
-
 /// A segment that is being written.
 pub(super) struct OpenSegment {
     name: SegmentName,
     path: PathBuf,
     file: Arc<File>,
-    writer: Writer<Sink>,
-    pending: Pending,
-    channel: u16,
     messages: u32,
     chunks: u32,
     /// Bytes in the file: up to the end of its last chunk.
     bytes: u64,
-    message: Vec<u8>,
 }
 
 impl OpenSegment {
     /// Creates the file, empty: its beginning goes out with its first chunk. A file of this name that is there holds nothing
     /// that could be read, and is set aside.
-    pub(super) fn create(folder: &Path, name: SegmentName, stated: &StatedLayout) -> Result<Self, RecordError> {
+    pub(super) fn create(folder: &Path, name: SegmentName) -> Result<Self, RecordError> {
         let path = name.path(folder);
         let create = || OpenOptions::new().write(true).create_new(true).open(&path);
         let created = match create() {
@@ -146,22 +103,7 @@ impl OpenSegment {
             created => created,
         };
         let file = created.map_err(|source| RecordError::WriteLog { path: path.clone(), source })?;
-        let refused = |source| RecordError::WriteMcap { path: path.clone(), source: Box::new(source) };
-        let pending = Pending::default();
-        let mut writer = WriteOptions::new()
-            .library(concat!("spandrel ", env!("CARGO_PKG_VERSION")))
-            .compression(None) // noise in the last bits of the samples does not compress, and small chunks even less
-            .chunk_size(None) // a chunk ends where an append does
-            .disable_seeking(true)
-            .create(Sink { pending: pending.clone(), place: 0 })
-            .map_err(refused)?;
-        let schema = writer
-            .add_schema(payload::SCHEMA_NAME, payload::SCHEMA_ENCODING, payload::SCHEMA.as_bytes())
-            .map_err(refused)?;
-        let channel =
-            writer.add_channel(schema, TOPIC, payload::MESSAGE_ENCODING, &stated.metadata()).map_err(refused)?;
-        let (messages, chunks, bytes, message) = (0, 0, 0, Vec::new());
-        Ok(Self { name, path, file: Arc::new(file), writer, pending, channel, messages, chunks, bytes, message })
+        Ok(Self { name, path, file: Arc::new(file), messages: 0, chunks: 0, bytes: 0 })
     }
 
     pub(super) fn name(&self) -> SegmentName {
@@ -185,35 +127,32 @@ impl OpenSegment {
     }
 
     /// Writes a chunk; returns where its record begins, and its length. After an error the segment must be cut back.
-    pub(super) fn append(&mut self, blocks: &[Cow<'_, LoggedFrames>]) -> Result<(u64, u64), RecordError> {
-        let refused = |source| RecordError::WriteMcap { path: self.path.clone(), source: Box::new(source) };
-        let before = self.pending.bytes().len() as u64; // magic and header of a new segment
-        for block in blocks {
-            payload::encode_to(block, &mut self.message);
-            let log_time = u64::try_from(block.time_ns()).unwrap_or(0);
-            let header =
-                MessageHeader { channel_id: self.channel, sequence: self.messages, log_time, publish_time: log_time };
-            self.writer.write_to_known_channel(&header, &self.message).map_err(refused)?;
-            self.messages = self.messages.wrapping_add(1);
+    pub(super) fn append(
+        &mut self,
+        blocks: &[Cow<'_, LoggedFrames>],
+        stated: &StatedLayout,
+    ) -> Result<(u64, u64), RecordError> {
+        let refused = |source| RecordError::WriteLog { path: self.path.clone(), source };
+        let is_first = self.chunks == 0;
+        let mut out = Vec::new(); // a chunk goes to the file in one piece
+        if is_first {
+            put_begin(&mut out).map_err(refused)?;
         }
-        self.writer.flush().map_err(refused)?;
-        let mut pending = self.pending.bytes();
-        let length = record_head(&pending[before as usize..]).map_or(0, |(_, length)| RECORD_HEAD_BYTES + length);
-        write_all(&self.file, &pending).map_err(|source| RecordError::WriteLog { path: self.path.clone(), source })?;
-        let offset = self.bytes + before;
-        self.bytes += pending.len() as u64;
+        let before = out.len();
+        put_chunk(&mut out, is_first.then_some(stated), blocks, self.messages).map_err(refused)?;
+        (&*self.file).write_all(&out).map_err(refused)?;
+        let length = record_head(&out[before..]).map_or(0, |(_, length)| RECORD_HEAD_BYTES + length);
+        let offset = self.bytes + before as u64;
+        self.messages = self.messages.wrapping_add(blocks.len() as u32);
+        self.bytes += out.len() as u64;
         self.chunks += 1;
-        pending.clear();
         Ok((offset, length))
     }
 
     /// Writes index and footer; returns the length of the file. What does not fit is cut off again.
-    pub(super) fn finish(mut self) -> Result<u64, RecordError> {
-        let finished = self.writer.finish();
-        finished.map_err(|source| RecordError::WriteMcap { path: self.path.clone(), source: Box::new(source) })?;
-        let written = write_all(&self.file, &self.pending.bytes());
-        match written {
-            Ok(()) => Ok(self.bytes + self.pending.bytes().len() as u64),
+    pub(super) fn finish(self, stated: &StatedLayout) -> Result<u64, RecordError> {
+        match write_end(&self.path, &self.file, self.bytes, stated) {
+            Ok(bytes) => Ok(bytes),
             Err(source) => {
                 let path = self.path.clone();
                 self.cut_back()?;
@@ -231,8 +170,4 @@ impl OpenSegment {
         };
         done.map_err(|source| RecordError::WriteLog { path, source })
     }
-}
-
-fn write_all(mut file: &File, bytes: &[u8]) -> std::io::Result<()> {
-    file.write_all(bytes)
 }

@@ -2,6 +2,7 @@
 
 mod crash;
 mod layout;
+mod memory;
 mod model;
 mod recording;
 mod retention;

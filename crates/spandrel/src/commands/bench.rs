@@ -382,7 +382,7 @@ fn cpu_seconds(schedstat: &str) -> f64 {
 fn group(name: &str) -> &'static str {
     match name.split('-').next() {
         Some("filter") => "filters",
-        Some("tokio") => "services",
+        Some("tokio" | "recording") => "services",
         _ if ["rx-", "tx-", "net-", "acc-", "app-"].iter().any(|zenoh| name.starts_with(zenoh)) => "zenoh",
         _ => "other",
     }
@@ -410,7 +410,7 @@ mod tests {
     #[test]
     fn threads_are_told_apart_by_their_names() {
         assert_eq!(group("filter-1"), "filters");
-        assert_eq!(group("tokio-runtime-w"), "services");
+        assert_eq!((group("tokio-runtime-w"), group("recording")), ("services", "services"));
         assert_eq!(group("rx-0"), "zenoh");
         assert_eq!(cpu_seconds("1500000000 200 3"), 1.5);
     }

@@ -1,0 +1,248 @@
+//! What a segment is made of, as bytes: its beginning, its chunks, and its end with an index.
+//!
+//! The fields are those of the crate `mcap`. Its own writer holds the index of all chunks until the file ends, some 300 bytes each, which
+//! is a megabyte of a structure that puts live samples in blocks of 50 ms; here the index is read from the file when that ends. Layouts:
+//! <https://mcap.dev/spec>.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufReader, Cursor, Read, Result, Seek, SeekFrom, Write};
+use std::path::Path;
+
+use binrw::{BinWrite, BinWriterExt};
+use mcap::records::{
+    Channel, ChunkHeader, ChunkIndex, DataEnd, Footer, Header, MessageHeader, MessageIndex, MessageIndexEntry,
+    SchemaHeader, Statistics, SummaryOffset, op,
+};
+
+use super::chunk::{CHUNK_HEAD_BYTES, RECORD_HEAD_BYTES, record_head};
+use super::layout::{StatedLayout, TOPIC};
+use super::{LoggedFrames, payload};
+
+/// The only schema and the only channel of a segment.
+const SCHEMA: u16 = 1;
+const CHANNEL: u16 = 1;
+/// Read or written at once.
+const BUFFER_BYTES: usize = 64 << 10;
+/// Bytes of a message index before its entries, and of each.
+const INDEX_HEAD_BYTES: u64 = 6;
+const INDEX_ENTRY_BYTES: u64 = 16;
+
+/// Appends a record with the body that `body` appends.
+fn put(out: &mut Vec<u8>, opcode: u8, body: impl FnOnce(&mut Vec<u8>) -> Result<()>) -> Result<()> {
+    out.push(opcode);
+    let length_at = out.len();
+    out.extend([0; 8]);
+    body(out)?;
+    let length = (out.len() - length_at - 8) as u64;
+    out[length_at..length_at + 8].copy_from_slice(&length.to_le_bytes());
+    Ok(())
+}
+
+/// Appends the fields of a record.
+fn put_fields(out: &mut Vec<u8>, fields: &impl for<'a> BinWrite<Args<'a> = ()>) -> Result<()> {
+    let mut end = Cursor::new(out);
+    end.seek(SeekFrom::End(0))?;
+    end.write_le(fields).map_err(std::io::Error::other)
+}
+
+/// Appends the beginning of a file.
+pub(super) fn put_begin(out: &mut Vec<u8>) -> Result<()> {
+    out.extend(mcap::MAGIC);
+    let library = concat!("spandrel ", env!("CARGO_PKG_VERSION")).to_owned();
+    put(out, op::HEADER, |out| put_fields(out, &Header { profile: String::new(), library }))
+}
+
+fn put_schema(out: &mut Vec<u8>) -> Result<()> {
+    let (name, encoding) = (payload::SCHEMA_NAME.to_owned(), payload::SCHEMA_ENCODING.to_owned());
+    put(out, op::SCHEMA, |out| {
+        put_fields(out, &SchemaHeader { id: SCHEMA, name, encoding })?;
+        out.extend((payload::SCHEMA.len() as u32).to_le_bytes());
+        out.extend(payload::SCHEMA.as_bytes());
+        Ok(())
+    })
+}
+
+fn put_channel(out: &mut Vec<u8>, stated: &StatedLayout) -> Result<()> {
+    let channel = Channel {
+        id: CHANNEL,
+        schema_id: SCHEMA,
+        topic: TOPIC.to_owned(),
+        message_encoding: payload::MESSAGE_ENCODING.to_owned(),
+        metadata: stated.metadata(),
+    };
+    put(out, op::CHANNEL, |out| put_fields(out, &channel))
+}
+
+/// Appends a chunk of blocks, not compressed, because noise in the last bits of the samples does not compress and small chunks even less;
+/// and the index of its messages, of which the first has number `sequence`. The first chunk of a segment is `stated`.
+pub(super) fn put_chunk(
+    out: &mut Vec<u8>,
+    stated: Option<&StatedLayout>,
+    blocks: &[Cow<'_, LoggedFrames>],
+    sequence: u32,
+) -> Result<()> {
+    let (mut records, mut message, mut entries) = (Vec::new(), Vec::new(), Vec::with_capacity(blocks.len()));
+    if let Some(stated) = stated {
+        put_schema(&mut records)?;
+        put_channel(&mut records, stated)?;
+    }
+    let mut number = sequence;
+    for block in blocks {
+        payload::encode_to(block, &mut message);
+        let log_time = u64::try_from(block.time_ns()).unwrap_or(0);
+        entries.push(MessageIndexEntry { log_time, offset: records.len() as u64 });
+        put(&mut records, op::MESSAGE, |out| {
+            put_fields(
+                out,
+                &MessageHeader { channel_id: CHANNEL, sequence: number, log_time, publish_time: log_time },
+            )?;
+            out.extend_from_slice(&message);
+            Ok(())
+        })?;
+        number = number.wrapping_add(1);
+    }
+    let times = || entries.iter().map(|entry| entry.log_time);
+    let header = ChunkHeader {
+        message_start_time: times().min().unwrap_or(0),
+        message_end_time: times().max().unwrap_or(0),
+        uncompressed_size: records.len() as u64,
+        uncompressed_crc: crc32fast::hash(&records),
+        compression: String::new(),
+        compressed_size: records.len() as u64,
+    };
+    put(out, op::CHUNK, |out| {
+        put_fields(out, &header)?;
+        out.extend_from_slice(&records);
+        Ok(())
+    })?;
+    put(out, op::MESSAGE_INDEX, |out| put_fields(out, &MessageIndex { channel_id: CHANNEL, records: entries }))
+}
+
+/// Writes the end of a segment behind its `bytes` bytes: the index of the chunks, which are read from it, and the footer. Returns the
+/// length of the file.
+pub(super) fn write_end(path: &Path, file: &File, bytes: u64, stated: &StatedLayout) -> Result<u64> {
+    let mut out = Vec::with_capacity(2 * BUFFER_BYTES);
+    // no checksum of the data: each chunk has its own
+    put(&mut out, op::DATA_END, |out| put_fields(out, &DataEnd { data_section_crc: 0 }))?;
+    let mut end = End { file, crc: crc32fast::Hasher::new(), place: bytes, out, offsets: Vec::new() };
+    end.write(false)?;
+    let summary_start = end.place;
+    end.group(op::SCHEMA, |end| put_schema(&mut end.out))?;
+    end.group(op::CHANNEL, |end| put_channel(&mut end.out, stated))?;
+    let mut statistics = Statistics {
+        message_count: 0,
+        schema_count: 1,
+        channel_count: 1,
+        attachment_count: 0,
+        metadata_count: 0,
+        chunk_count: 0,
+        message_start_time: u64::MAX,
+        message_end_time: 0,
+        channel_message_counts: BTreeMap::new(),
+    };
+    end.group(op::CHUNK_INDEX, |end| {
+        each_chunk(path, bytes, |index, messages| {
+            statistics.message_count += messages;
+            statistics.chunk_count += 1;
+            statistics.message_start_time = statistics.message_start_time.min(index.message_start_time);
+            statistics.message_end_time = statistics.message_end_time.max(index.message_end_time);
+            put(&mut end.out, op::CHUNK_INDEX, |out| put_fields(out, &index))?;
+            if end.out.len() < BUFFER_BYTES { Ok(()) } else { end.write(true) }
+        })
+    })?;
+    statistics.channel_message_counts.insert(CHANNEL, statistics.message_count);
+    end.group(op::STATISTICS, |end| put(&mut end.out, op::STATISTICS, |out| put_fields(out, &statistics)))?;
+    let summary_offset_start = end.place;
+    for offset in std::mem::take(&mut end.offsets) {
+        put(&mut end.out, op::SUMMARY_OFFSET, |out| put_fields(out, &offset))?;
+    }
+    // the checksum of the summary is also of what stands before it in the footer
+    put(&mut end.out, op::FOOTER, |out| {
+        put_fields(out, &Footer { summary_start, summary_offset_start, summary_crc: 0 })
+    })?;
+    end.out.truncate(end.out.len() - 4);
+    end.write(true)?;
+    let summary_crc = end.crc.clone().finalize();
+    end.out.extend(summary_crc.to_le_bytes());
+    end.out.extend(mcap::MAGIC);
+    end.write(false)?;
+    Ok(end.place)
+}
+
+/// The end of a segment as it is written.
+struct End<'a> {
+    file: &'a File,
+    /// Of the summary so far.
+    crc: crc32fast::Hasher,
+    /// Bytes of the file so far.
+    place: u64,
+    out: Vec<u8>,
+    offsets: Vec<SummaryOffset>,
+}
+
+impl End<'_> {
+    fn write(&mut self, is_summary: bool) -> Result<()> {
+        self.file.write_all(&self.out)?;
+        if is_summary {
+            self.crc.update(&self.out);
+        }
+        self.place += self.out.len() as u64;
+        self.out.clear();
+        Ok(())
+    }
+
+    /// Writes records of one kind.
+    fn group(&mut self, group_opcode: u8, records: impl FnOnce(&mut Self) -> Result<()>) -> Result<()> {
+        let group_start = self.place;
+        records(self)?;
+        self.write(true)?;
+        self.offsets.push(SummaryOffset { group_opcode, group_start, group_length: self.place - group_start });
+        Ok(())
+    }
+}
+
+/// Goes over the chunks of a file of `bytes` bytes that was written here: the entry of each in the index, and its messages.
+fn each_chunk(path: &Path, bytes: u64, mut take: impl FnMut(ChunkIndex, u64) -> Result<()>) -> Result<()> {
+    let mut reader = BufReader::with_capacity(BUFFER_BYTES, File::open(path)?);
+    let mut place = mcap::MAGIC.len() as u64;
+    reader.seek_relative(place as i64)?;
+    let mut chunk: Option<ChunkIndex> = None;
+    while place < bytes {
+        let mut head = [0; RECORD_HEAD_BYTES as usize];
+        reader.read_exact(&mut head)?;
+        let (opcode, length) = record_head(&head).unwrap_or_default();
+        let after = place + RECORD_HEAD_BYTES + length;
+        let mut passed = 0;
+        match opcode {
+            op::CHUNK => {
+                let mut head = [0; CHUNK_HEAD_BYTES];
+                reader.read_exact(&mut head)?;
+                passed = head.len() as u64;
+                let number = |at: usize| head[at..].first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes));
+                chunk = Some(ChunkIndex {
+                    message_start_time: number(0),
+                    message_end_time: number(8),
+                    chunk_start_offset: place,
+                    chunk_length: after - place,
+                    message_index_offsets: BTreeMap::from([(CHANNEL, after)]),
+                    message_index_length: 0,
+                    compression: String::new(),
+                    compressed_size: number(16),
+                    uncompressed_size: number(16),
+                });
+            }
+            op::MESSAGE_INDEX => {
+                if let Some(index) = chunk.take() {
+                    let messages = length.saturating_sub(INDEX_HEAD_BYTES) / INDEX_ENTRY_BYTES;
+                    take(ChunkIndex { message_index_length: after - place, ..index }, messages)?;
+                }
+            }
+            _ => {}
+        }
+        reader.seek_relative((length.saturating_sub(passed)) as i64)?;
+        place = after;
+    }
+    Ok(())
+}
