@@ -244,6 +244,7 @@ pub(crate) fn subtract_gram_mut(target: &mut DMatrix<f64>, v: &DMatrix<f64>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::product::all_instructions;
     use nalgebra::{Cholesky, DVector};
 
     fn spd(n: usize) -> DMatrix<f64> {
@@ -266,9 +267,11 @@ mod tests {
         assert!((b - expected).amax() < 1e-12);
         let rows = DMatrix::from_fn(150, 7, |i, j| (i as f64 + 0.3 * j as f64).cos());
         let expected = reference.l().solve_lower_triangular(&rows.transpose()).unwrap().transpose();
-        let mut solved = rows;
-        solve_lower_of_rows_mut(Arch::new(), &factor, solved.as_mut_slice());
-        assert!((solved - expected).amax() < 1e-12);
+        for (arch, count) in all_instructions().into_iter().flat_map(|arch| (1..=150).map(move |count| (arch, count))) {
+            let mut solved = rows.rows(0, count).into_owned();
+            solve_lower_of_rows_mut(arch, &factor, solved.as_mut_slice());
+            assert!((solved - expected.rows(0, count)).amax() < 1e-12, "{count} rows");
+        }
     }
 
     #[test]

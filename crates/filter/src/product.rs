@@ -149,13 +149,27 @@ pub(crate) struct Product<'m> {
     pub(crate) store: Store<'m>,
 }
 
+/// Returns every set of instructions that this processor has: what is right with the widest need not be with another.
+#[cfg(test)]
+pub(crate) fn all_instructions() -> Vec<Arch> {
+    let mut all = vec![Arch::Scalar, Arch::new()];
+    #[cfg(target_arch = "x86_64")]
+    all.extend(pulp::x86::V3::try_new().map(Arch::V3));
+    all
+}
+
 /// Multiplies with the best instructions that the processor has.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Multiplier(Arch);
 
 impl Multiplier {
     pub(crate) fn new() -> Self {
-        Self(Arch::new())
+        Self::with(Arch::new())
+    }
+
+    /// With certain instructions.
+    pub(crate) fn with(arch: Arch) -> Self {
+        Self(arch)
     }
 
     /// Returns the instructions.

@@ -67,7 +67,11 @@ pub(crate) struct Transition {
 impl Transition {
     /// Makes room for the transitions of a model of that form.
     pub(crate) fn new(form: &ProportionalForm<'_>) -> Self {
-        let multiplier = Multiplier::new();
+        Self::with(form, Multiplier::new())
+    }
+
+    /// With certain instructions.
+    fn with(form: &ProportionalForm<'_>, multiplier: Multiplier) -> Self {
         Self {
             blocks: Blocks::new(form, multiplier),
             accelerations: Accelerations::new(form, multiplier),

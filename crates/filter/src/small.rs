@@ -239,6 +239,7 @@ impl<W: Fn(usize, usize) -> f64> Combine<'_, W> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::product::all_instructions;
 
     fn matrix(rows: usize, columns: usize) -> DMatrix<f64> {
         DMatrix::from_fn(rows, columns, |i, j| ((3 * i + 7 * j + 1) as f64).sin())
@@ -246,33 +247,34 @@ mod tests {
 
     #[test]
     fn congruence_is_that_of_nalgebra_and_symmetric_to_the_bit() {
-        for n in 1..=MOST_ROWS {
+        for (n, arch) in (1..=MOST_ROWS).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch))) {
             let (a, root) = (matrix(n, n), matrix(n, n));
             let mut x = &root * root.transpose();
             x.fill_upper_triangle_with_lower_triangle();
             let mut out = DMatrix::repeat(n, n, f64::NAN);
-            Congruence::new(&a).apply_to(Arch::new(), 0.5, &x, &mut out);
+            Congruence::new(&a).apply_to(arch, 0.5, &x, &mut out);
             assert!((&out - 0.5 * &a * &x * a.transpose()).amax() < 1e-12, "{n}");
             assert_eq!(out, out.transpose(), "{n}");
             let y = root.column(0).into_owned();
             let mut product = y.clone();
-            Congruence::new(&a).mul_to(Arch::new(), y.as_slice(), product.as_mut_slice());
+            Congruence::new(&a).mul_to(arch, y.as_slice(), product.as_mut_slice());
             assert!((product - a * y).amax() < 1e-13, "{n}");
         }
     }
 
     #[test]
     fn outer_products_are_subtracted_alike_from_both_triangles() {
-        for (n, columns) in (1..=MOST_ROWS).map(|n| (n, 1 + n % 3)) {
+        for (n, arch) in (1..=MOST_ROWS).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch))) {
+            let columns = 1 + n % 3;
             let (v, root) = (matrix(n, columns), matrix(n, n));
             let mut p = &root * root.transpose();
             p.fill_upper_triangle_with_lower_triangle();
             let mut out = p.clone();
-            subtract_outer_mut(Arch::new(), &mut out, &v);
+            subtract_outer_mut(arch, &mut out, &v);
             assert!((&out - (&p - &v * v.transpose())).amax() < 1e-13, "{n}");
             assert_eq!(out, out.transpose(), "{n}");
             let mut product = v.clone();
-            multiply_to(Arch::new(), &p, &v, &mut product);
+            multiply_to(arch, &p, &v, &mut product);
             assert!((product - &p * v).amax() < 1e-12, "{n}");
         }
     }

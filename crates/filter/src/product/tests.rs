@@ -15,10 +15,10 @@ fn packed(matrix: &DMatrix<f64>) -> Right {
 #[test]
 fn product_is_that_of_nalgebra() {
     // less than a register of rows, then strips of every length, full and moved up
-    for rows in 1..80 {
+    for (rows, arch) in (1..80).flat_map(|rows| all_instructions().into_iter().map(move |arch| (rows, arch))) {
         let (left, right) = (matrix(rows, 21), matrix(21, 9));
         let mut out = DMatrix::repeat(rows, 10, 7.0);
-        Multiplier::new().multiply_to(Left::new(&left), &packed(&right), Extent::Full, Sum::scaled(0.5), &mut out);
+        Multiplier::with(arch).multiply_to(Left::new(&left), &packed(&right), Extent::Full, Sum::scaled(0.5), &mut out);
         let expected = 0.5 * &left * &right;
         assert!((out.columns(0, 9) - expected).amax() < 1e-14, "{rows} rows");
         assert!(out.column(9).iter().all(|entry| *entry == 7.0), "{rows} rows");
@@ -107,11 +107,11 @@ fn joined_pieces_are_multiplied_as_one_matrix_into_the_columns_and_rows_asked_fo
 
 #[test]
 fn symmetric_product_has_the_same_bits_in_both_triangles() {
-    for n in [3, 10, 16, 33, 41, 70] {
+    for (n, arch) in (1..72).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch))) {
         let factor = matrix(n, 7);
         let mut out = DMatrix::repeat(n, n, f64::NAN);
         let right = packed(&factor.transpose());
-        Multiplier::new().multiply_symmetric_to(Left::new(&factor), &right, Sum::PLAIN, &mut out);
+        Multiplier::with(arch).multiply_symmetric_to(Left::new(&factor), &right, Sum::PLAIN, &mut out);
         assert!((&out - &factor * factor.transpose()).amax() < 1e-14, "{n}");
         assert_eq!(out, out.transpose(), "{n}");
     }
@@ -119,13 +119,13 @@ fn symmetric_product_has_the_same_bits_in_both_triangles() {
 
 #[test]
 fn symmetric_product_is_added_in_place_once_with_the_same_bits_in_both_triangles() {
-    for n in [1, 3, 10, 16, 33, 41, 70, 122] {
+    for (n, arch) in (1..72).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch))) {
         let (factor, root) = (matrix(n, 7), matrix(n, 5));
         let mut start = &root * root.transpose();
         start.fill_upper_triangle_with_lower_triangle();
         let mut out = start.clone();
         let (right, mut diagonal) = (packed(&factor.transpose()), vec![0.0; n]);
-        Multiplier::new().add_symmetric_mut(Left::new(&factor), &right, &mut out, &mut diagonal);
+        Multiplier::with(arch).add_symmetric_mut(Left::new(&factor), &right, &mut out, &mut diagonal);
         assert!((&out - (start + &factor * factor.transpose())).amax() < 1e-13, "{n}");
         assert_eq!(out, out.transpose(), "{n}");
         assert_eq!(out.diagonal().as_slice(), diagonal, "{n}");
@@ -134,10 +134,13 @@ fn symmetric_product_is_added_in_place_once_with_the_same_bits_in_both_triangles
 
 #[test]
 fn transposed_product_is_that_of_nalgebra() {
-    for (rows, columns) in [(19, 42), (16, 8), (5, 30), (70, 10)] {
+    let sizes = [(19, 42), (16, 8), (5, 30), (70, 10)];
+    for ((rows, columns), arch) in
+        sizes.iter().flat_map(|size| all_instructions().into_iter().map(move |arch| (*size, arch)))
+    {
         let (left, right) = (matrix(rows, 6), matrix(6, columns));
         let mut out = DMatrix::zeros(columns, rows);
-        Multiplier::new().multiply_transposed_to(Left::new(&left), &packed(&right), Sum::PLAIN, &mut out);
+        Multiplier::with(arch).multiply_transposed_to(Left::new(&left), &packed(&right), Sum::PLAIN, &mut out);
         assert!((out - (left * right).transpose()).amax() < 1e-13, "{rows} × {columns}");
     }
 }

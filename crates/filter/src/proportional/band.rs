@@ -200,6 +200,9 @@ impl MulTo<'_> {
     fn rows<S: Simd, const R: usize>(&mut self, simd: S, first: usize) {
         let Self { band, x, out } = self;
         let length = R * S::F64_LANES;
+        if first >= out.n {
+            return; // what only fills up the last register: it stays zero
+        }
         let mut sums = [simd.splat_f64s(0.0); R];
         for d in band.diagonals() {
             let ahead = (x.margin as isize + d) as usize + first;

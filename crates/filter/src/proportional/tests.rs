@@ -5,8 +5,9 @@ use super::polynomials::economise_mut;
 use super::*;
 use crate::discretise::{self, Series, integrate_inputs, propagate_covariance, transition_mul_narrow};
 use crate::model::ProcessModel;
-use crate::product::{Extent, Left, Right, Sum};
+use crate::product::{Extent, Left, Right, Sum, all_instructions};
 use nalgebra::DVector;
+use pulp::Arch;
 
 const STEP_S: f64 = 0.01;
 const INPUTS: usize = 2;
@@ -163,12 +164,19 @@ fn worst_column(found: &DMatrix<f64>, expected: &DMatrix<f64>, free: usize) -> f
 
 #[track_caller]
 fn assert_agreement(what: &str, structure: &Structure, tolerance: f64) {
+    for arch in all_instructions() {
+        assert_agreement_with(arch, what, structure, tolerance);
+    }
+}
+
+#[track_caller]
+fn assert_agreement_with(arch: Arch, what: &str, structure: &Structure, tolerance: f64) {
     let form = structure.proportional_form().unwrap();
     let series = Series::choose(structure.rate_bound(), STEP_S);
     let (n, sigma) = (structure.state_len(), covariance(structure));
     let (columns, slope) = inputs(structure);
     let mut work = discretise::Workspace::new(n, INPUTS);
-    let mut transition = Transition::new(&form);
+    let mut transition = Transition::with(&form, Multiplier::with(arch));
     for ramp in [Some(&slope[..]), None] {
         let (mut expected, mut found) = (columns.clone(), columns.clone());
         integrate_inputs(structure, STEP_S, series, &mut expected, ramp, &mut work);
@@ -197,6 +205,7 @@ fn blocks_agree_with_the_operator_within_one_series() {
             assert_agreement("chain", &chain(40, parameters, reach), 1e-12);
             assert_agreement("coupled", &coupled(19, parameters, reach), 1e-12);
             assert_agreement("oscillator", &chain(1, parameters, reach), 1e-12);
+            assert_agreement("five storeys", &chain(5, parameters, reach), 1e-12);
         }
     }
 }
@@ -235,7 +244,11 @@ fn polynomials_of_a_band_are_those_of_its_full_matrix() {
     let mut polynomials = Polynomials::new([-0.1, 0.02], 1.2, 1.1);
     polynomials.velocity.degree = 3;
     polynomials.velocity.coefficients[4..].fill(0.0);
-    for (n, widths) in [(23, [2, 5, 1]), (6, [4, 1, 3])] {
+    let wide = [(23, [2, 5, 1]), (6, [4, 1, 3])].into_iter();
+    let sizes = wide
+        .chain((2..41).map(|n| (n, [1, 1, 1])))
+        .flat_map(|size| all_instructions().into_iter().map(move |arch| (size, arch)));
+    for ((n, widths), arch) in sizes {
         let widest = *widths.iter().max().unwrap();
         let room = || Band::new(n, 44 * widest, widest);
         let (mut powers, mut sums) = ([room(), room()], [room(), room()]);
@@ -245,7 +258,7 @@ fn polynomials_of_a_band_are_those_of_its_full_matrix() {
             let mut z = Band::new(n, widest, widest);
             z.set(&matrix, width, 1.0);
             let [impulse, velocity] = &mut sums;
-            Multiplier::new().arch().dispatch(Evaluate {
+            arch.dispatch(Evaluate {
                 z: &z,
                 powers: &mut powers,
                 polynomials: [&polynomials.impulse, &polynomials.velocity],
@@ -259,7 +272,7 @@ fn polynomials_of_a_band_are_those_of_its_full_matrix() {
                 let x = wave(n, 1);
                 let (mut padded, mut product) = (Padded::new(n, n), Padded::new(n, n));
                 padded.copy_from(x.as_slice());
-                band.mul_to(Multiplier::new().arch(), &padded, &mut product);
+                band.mul_to(arch, &padded, &mut product);
                 let error = (DVector::from_column_slice(product.as_slice()) - &expected * x).amax();
                 assert!(error < 1e-14, "{n}, band {width}: product off by {error:e}");
                 let mut right = Right::new(n, n, 1);
@@ -270,8 +283,7 @@ fn polynomials_of_a_band_are_those_of_its_full_matrix() {
                 );
                 let mut transposed = DMatrix::zeros(n, n);
                 let unit = DMatrix::identity(n, n);
-                let multiplier = Multiplier::new();
-                multiplier.multiply_to(Left::new(&unit), &right, Extent::Full, Sum::PLAIN, &mut transposed);
+                Multiplier::with(arch).multiply_to(Left::new(&unit), &right, Extent::Full, Sum::PLAIN, &mut transposed);
                 let error = (transposed - 2.0 * expected.transpose()).amax();
                 assert!(error < 1e-14, "{n}, band {width}: transpose off by {error:e}");
             }
