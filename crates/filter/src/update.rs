@@ -142,7 +142,6 @@ pub(crate) struct ExcitationSpread<'a> {
 ///
 /// `covariance`: `P` but for the `spread` of the excitation. `p_ht`: `P Hᵀ` (n × N_0), with it; becomes `Vᵀ`. `sensors`:
 /// `Σ_n`, used by the Joseph form only. Expects [`factorise`] to have run.
-#[expect(clippy::too_many_arguments, reason = "the terms of three equations")]
 pub(crate) fn correct(
     model: &impl ObservationModel,
     mean: &mut DVector<f64>,
