@@ -17,6 +17,7 @@ pub fn spandrel(subcommand: &str) -> Command {
     static PROCESSES: AtomicU32 = AtomicU32::new(0);
     let number = PROCESSES.fetch_add(1, Ordering::Relaxed);
     let state = format!("{}/state-{}-{number}", env!("CARGO_TARGET_TMPDIR"), std::process::id());
+    let _ = std::fs::remove_dir_all(&state); // left by a process that had this number before
     command.env("XDG_STATE_HOME", state).env_remove("STATE_DIRECTORY").arg(subcommand);
     command
 }
