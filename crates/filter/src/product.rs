@@ -399,18 +399,11 @@ impl Keep for Split<'_> {
 
 /// Where sums come from and go to.
 trait Place {
+    type Keep: Keep;
+
     fn sums<S: Simd, const R: usize>(&self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS];
 
-    /// See [`Keep::keep`].
-    fn keep<F: Pod, const R: usize>(
-        &mut self,
-        before: usize,
-        rows: Range<usize>,
-        columns: Range<usize>,
-        block: &[[F; R]; COLUMNS],
-    );
-
-    fn clear(&mut self, rows: &Range<usize>, columns: Range<usize>);
+    fn keep_mut(&mut self) -> &mut Self::Keep;
 }
 
 /// From one place to another.
@@ -420,31 +413,25 @@ struct Between<B, K> {
 }
 
 impl<B: Start, K: Keep> Place for Between<B, K> {
+    type Keep = K;
+
     #[inline(always)]
     fn sums<S: Simd, const R: usize>(&self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS] {
         self.start.sums::<S, R>(simd, first, columns)
     }
 
     #[inline(always)]
-    fn keep<F: Pod, const R: usize>(
-        &mut self,
-        before: usize,
-        rows: Range<usize>,
-        columns: Range<usize>,
-        block: &[[F; R]; COLUMNS],
-    ) {
-        self.keep.keep(before, rows, columns, block);
-    }
-
-    fn clear(&mut self, rows: &Range<usize>, columns: Range<usize>) {
-        self.keep.clear(rows, columns);
+    fn keep_mut(&mut self) -> &mut K {
+        &mut self.keep
     }
 }
 
 /// What is there is added to.
 struct InPlace<'m>(Mirrored<'m>);
 
-impl Place for InPlace<'_> {
+impl<'m> Place for InPlace<'m> {
+    type Keep = Mirrored<'m>;
+
     #[inline(always)]
     fn sums<S: Simd, const R: usize>(&self, simd: S, first: usize, columns: &Range<usize>) -> [[S::f64s; R]; COLUMNS] {
         let Target { entries, stride } = &self.0.0;
@@ -452,18 +439,8 @@ impl Place for InPlace<'_> {
     }
 
     #[inline(always)]
-    fn keep<F: Pod, const R: usize>(
-        &mut self,
-        before: usize,
-        rows: Range<usize>,
-        columns: Range<usize>,
-        block: &[[F; R]; COLUMNS],
-    ) {
-        self.0.keep(before, rows, columns, block);
-    }
-
-    fn clear(&mut self, rows: &Range<usize>, columns: Range<usize>) {
-        self.0.clear(rows, columns);
+    fn keep_mut(&mut self) -> &mut Mirrored<'m> {
+        &mut self.0
     }
 }
 
@@ -518,7 +495,7 @@ impl<P: Place> Strips<'_, P> {
             match extent {
                 Extent::Before(end) if target.start >= end => return,
                 Extent::Band(half) if rows.end + half <= target.start || target.end + half <= rows.start => {
-                    self.place.clear(&rows, target);
+                    self.place.keep_mut().clear(&rows, target);
                     continue;
                 }
                 _ => {}
@@ -533,7 +510,7 @@ impl<P: Place> Strips<'_, P> {
                     }
                 }
             }
-            self.place.keep(before, rows.clone(), target, &sums);
+            self.place.keep_mut().keep(before, rows.clone(), target, &sums);
         }
     }
 }
