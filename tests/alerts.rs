@@ -4,11 +4,11 @@
 
 mod support;
 
-use spandrel_bus::{AlertMessage, AlertState, Bus, Name, Subscription};
+use spandrel_bus::{AlertMessage, AlertState, Bus, Name, Subscription, UndecidedBecause};
 use support::{DEADLINE, Process, Record, Site, put_raw, spandrel, two_storeys, within};
 
 /// Damage of storey 2 at 20 s; a rule against the design.
-const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
+const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
                        [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
 /// Storey 2 has 90 % of its design stiffness when it is built, and is damaged at 40 s; a rule against what was learnt.
 const WEAK_FROM_THE_START: &str = "[[alert]]\nparameters = [\"storey-2\"]\nloss = 0.05\nsustain-s = 5\n\
@@ -89,7 +89,8 @@ async fn damage_is_pending_for_the_sustain_time_and_then_raised() {
     let since_s = seconds(raised.since_ns.unwrap());
     assert!((20.0..40.0).contains(&since_s), "credible since {since_s} s, damaged at 20 s");
     let sustained_s = seconds(raised.time_ns) - since_s;
-    assert!((sustained_s - 5.0).abs() < 0.011, "raised {sustained_s} s after the loss was credible, the rule says 5 s");
+    // the loss is a jump, and no new alert is raised in its first 8 s
+    assert!((4.989..8.011).contains(&sustained_s), "raised {sustained_s} s after the loss was credible");
     assert!(!watched.states_of("storey-1").contains(&AlertState::Raised), "storey 1 is sound: {:?}", watched.heard);
 }
 
@@ -128,9 +129,11 @@ async fn whoever_asks_later_gets_the_last_alert() {
     let keys = watched.site.keys();
     let later = watched.site.join().await;
     let of_storey_2 = later.ask::<AlertMessage>(&keys.alert(&raised.parameter), DEADLINE).await.unwrap();
-    assert_eq!(of_storey_2, [(keys.alert(&raised.parameter), raised.clone())]);
+    let [(key, last)] = &of_storey_2[..] else { panic!("answers: {of_storey_2:?}") };
+    // the loss may have been revised since
+    assert_eq!((key, last.state, last.since_ns), (&keys.alert(&raised.parameter), raised.state, raised.since_ns));
     let of_all = later.ask::<AlertMessage>(&keys.all_alerts(), DEADLINE).await.unwrap();
-    assert!(of_all.contains(&(keys.alert(&raised.parameter), raised)), "answers to alert/*: {of_all:?}");
+    assert!(of_all.contains(&of_storey_2[0]), "answers to alert/*: {of_all:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -138,7 +141,10 @@ async fn a_rule_with_a_learnt_reference_finds_damage_of_what_was_weak_from_the_s
     let mut watched = Watched::start(WEAK_FROM_THE_START).await;
     let record = watched.site.simulate(80.0);
     let raised = watched.replay_until(&record, AlertState::Raised).await;
-    let states = watched.states_of("storey-2");
+    // nothing is learnt from while the noise levels are in training
+    let mut states = watched.states_of("storey-2");
+    states.retain(|state| *state != AlertState::Undecided);
+    states.dedup();
     assert_eq!(states[..2], [AlertState::Learning, AlertState::Normal], "all states: {states:?}");
     let (reference, since_s) = (raised.reference.unwrap(), seconds(raised.since_ns.unwrap()));
     assert!((reference - 0.90).abs() < 0.02, "learnt {reference}, built with 0.90");
@@ -153,6 +159,7 @@ async fn sound_values_from_recordings_take_the_place_of_learning() {
     let baseline = site.folder().join("house.baseline.json");
     let mut learn = spandrel("baseline");
     learn.arg(site.structure_file()).arg("--record").arg(sound.path()).arg("--output").arg(&baseline);
+    learn.args(["--between-std", "0"]); // a simulated building does not differ from record to record
     Process::start(&mut learn).wait().expect_code(0);
     let configuration = site.folder().join("spandrel.toml");
     std::fs::write(&configuration, "[baselines]\nhouse = \"house.baseline.json\"\n").unwrap();
@@ -179,7 +186,35 @@ async fn an_alert_service_that_was_killed_comes_to_the_same_alert_again() {
     alert.kill();
     let _alert = Process::start(&mut watched.site.connecting("alert"));
     let again = watched.heard_of_storey_2(AlertState::Raised).await;
-    assert_eq!(again, raised);
+    assert_eq!((again.state, again.since_ns), (raised.state, raised.since_ns), "{again:?}");
+}
+
+/// Alerts that could not be decided were said to be normal, or not spoken of at all.
+#[tokio::test(flavor = "multi_thread")]
+async fn alerts_without_a_measured_excitation_are_undecided_and_say_why() {
+    let mut watched = Watched::start(DAMAGED).await;
+    let record = watched.site.simulate(20.0);
+    let text = std::fs::read_to_string(record.path()).unwrap();
+    let ground = text.lines().next().unwrap().split(',').position(|name| name.starts_with("ground")).unwrap();
+    let without = text.lines().enumerate().map(|(row, line)| {
+        let mut cells: Vec<&str> = line.split(',').collect();
+        if row > 0 {
+            cells[ground] = "";
+        }
+        cells.join(",") + "\n"
+    });
+    std::fs::write(record.path(), without.collect::<String>()).unwrap();
+    let undecided = watched.replay_until(&record, AlertState::Undecided).await;
+    // the noise levels come first
+    assert_eq!(undecided.undecided_because, Some(UndecidedBecause::NoiseTraining));
+    assert_says(&undecided, &["no alert of storey-2 is decided", "the filter still learns its noise levels"]);
+    let mut estimate = spandrel("estimate");
+    estimate.arg(watched.site.structure_file()).arg("--record").arg(record.path()).arg("--json");
+    let summary: serde_json::Value =
+        serde_json::from_str(&Process::start(&mut estimate).wait().expect_code(0).stdout).unwrap();
+    assert_eq!(summary["decided"]["storey-2"]["share"], serde_json::json!(0.0), "{summary}");
+    let warned = summary["warnings"].as_array().unwrap().iter().filter_map(|warning| warning.as_str());
+    assert_eq!(warned.filter(|warning| warning.starts_with("no alert of storey-2 is decided")).count(), 1, "{summary}");
 }
 
 #[test]
@@ -203,7 +238,7 @@ fn log_in_json_is_one_object_a_line() {
 /// Nothing was put of a parameter before it changed, so that a fresh view showed a dash and a script got no reply.
 #[tokio::test(flavor = "multi_thread")]
 async fn whoever_asks_learns_that_a_sound_parameter_is_normal() {
-    let rule = "[[alert]]\nparameters = [\"storey-1\"]\nloss = 0.2\ncredibility = 0.99\nreference = \"design\"\n";
+    let rule = "[[alert]]\nparameters = [\"storey-1\"]\nloss = 0.2\ncredibility = 0.99\nreference.design-std = 1e-9\n";
     let watched = Watched::start(rule).await;
     let view = watched.site.watch();
     let record = watched.site.simulate(20.0);

@@ -92,7 +92,7 @@ async fn leading_class_follows_the_damage_of_the_high_rise_and_the_alert_names_i
     let heard: Vec<AlertMessage> = alerts.messages().drain().map(|(_, alert)| alert).collect();
     let raised: Vec<(&str, f64)> = heard
         .iter()
-        .filter(|alert| alert.state == AlertState::Raised)
+        .filter(|alert| alert.state == AlertState::Raised && alert.revision == 0)
         .map(|alert| (alert.parameter.as_str(), time_s(alert.time_ns)))
         .collect();
     println!("raised {raised:?}");

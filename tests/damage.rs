@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use serde_json::Value;
-use spandrel_bus::{FrameBlock, Header, StreamState};
+use spandrel_bus::{AlertState, FrameBlock, Header, StreamState};
 use spandrel_identify::{Estimator, Identification, Input, Output};
 use spandrel_structure::Structure;
 use std::path::{Path, PathBuf};
@@ -45,7 +45,8 @@ struct Expected {
 
 fn check(result: &Value, seed: u64, expected: &Expected) -> f64 {
     assert_eq!(result["frames"], 12_000, "seed {seed}: frames were lost");
-    for (name, estimate) in result["parameters"].as_object().unwrap() {
+    let parameters = result["parameters"].as_object().unwrap();
+    for (name, estimate) in parameters.iter().filter(|(name, _)| name.starts_with("storey-")) {
         let mean = estimate["mean"].as_f64().unwrap();
         let (truth, within) = match name == expected.parameter {
             true => (expected.end, expected.within),
@@ -56,7 +57,9 @@ fn check(result: &Value, seed: u64, expected: &Expected) -> f64 {
     let alerts = result["alerts"].as_array().unwrap();
     let told: Vec<_> =
         alerts.iter().map(|a| (a["parameter"].as_str().unwrap(), a["state"].as_str().unwrap())).collect();
-    assert_eq!(told, [(expected.parameter, "raised")], "seed {seed}");
+    let raised: Vec<_> = told.into_iter().filter(|(_, state)| *state == "raised").collect();
+    assert_eq!(raised, [(expected.parameter, "raised")], "seed {seed}");
+    let alerts: Vec<_> = alerts.iter().filter(|alert| alert["state"] == "raised").collect();
     let delay_s = alerts[0]["time_s"].as_f64().unwrap() - 60.0;
     assert!(delay_s > 0.0, "seed {seed}: raised {delay_s} s after the damage");
     if let Some(allowed) = expected.delay_s {
@@ -101,7 +104,7 @@ fn slow_loss_of_storey_3_is_raised() {
 
 #[test]
 fn storey_2_is_found_without_the_motion_of_the_ground() {
-    // storey 1 rests on the stated level of the excitation: it is known to 0.10 only
+    // storey 1 rests on the level and the colour of the excitation, and its interval says so
     let scratch = tempfile::tempdir().unwrap();
     let path = scratch.path().join("output-only.toml");
     std::fs::write(&path, with_damage("output-only.toml", "storey-2", 0.15, 0.0)).unwrap();
@@ -109,7 +112,9 @@ fn storey_2_is_found_without_the_motion_of_the_ground() {
         let mut result = demo(Some(&path), seed);
         let storey_1 = result["parameters"].as_object_mut().unwrap().remove("storey-1").unwrap();
         let mean = storey_1["mean"].as_f64().unwrap();
-        assert!((mean - 1.0).abs() <= 0.10, "seed {seed}: storey-1 ends at {mean}");
+        let std = storey_1["std"].as_f64().unwrap();
+        assert!((mean - 1.0).abs() <= 1.96 * std, "seed {seed}: storey-1 ends at {mean} ± {std}");
+        assert!((0.05..0.5).contains(&std), "seed {seed}: storey-1 is stated to {std}");
         let expected =
             Expected { parameter: "storey-2", end: 0.85, within: 0.02, others_within: 0.02, delay_s: Some(20.0) };
         let delay_s = check(&result, seed, &expected);
@@ -149,7 +154,7 @@ fn sound_hour(seed: u64) {
         counted += 1.0;
         let Estimator::Filter(filter) = core.estimator() else { panic!("the demo has one model") };
         for storey in 0..5 {
-            let (mean, variance) = (filter.mean()[10 + storey], filter.covariance()[(10 + storey, 10 + storey)]);
+            let (mean, variance) = (filter.mean()[10 + storey], filter.parameter_covariance(storey, storey));
             covered[storey] += f64::from(u8::from((mean - 1.0).powi(2) <= 1.96_f64.powi(2) * variance));
             let innovation = filter.innovation()[storey];
             misfit[storey] += innovation * innovation / filter.innovation_covariance()[(storey, storey)];
@@ -158,8 +163,9 @@ fn sound_hour(seed: u64) {
     let covered = covered.map(|count| count / counted);
     let misfit = misfit.map(|sum| sum / counted);
     println!("seed {seed}: 95 % interval covers {covered:.3?}, normalised innovation squared {misfit:.3?}");
-    assert!(alerts.is_empty(), "seed {seed}: {alerts:?}");
-    assert!(covered.iter().all(|share| (0.90..=1.00).contains(share)), "seed {seed}: covers {covered:?}");
+    let raised = alerts.iter().filter(|alert: &&spandrel_alert::Alert| alert.state == AlertState::Raised).count();
+    assert_eq!(raised, 0, "seed {seed}: {alerts:?}");
+    assert!(covered.iter().all(|share| (0.90..=0.99).contains(share)), "seed {seed}: covers {covered:?}");
     assert!(misfit.iter().all(|mean| (mean - 1.0).abs() <= 0.05), "seed {seed}: misfit {misfit:?}");
 }
 

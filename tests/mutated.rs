@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::de::DeserializeOwned;
 use serde::ser::SerializeTuple;
 use serde::{Serialize, Serializer};
-use spandrel_bus::{Header, LocalDensity, LocalMessage, NodeLineage, Pace, SampleBlock, StreamState};
+use spandrel_bus::{FrameBlock, Header, LocalDensity, LocalMessage, NodeLineage, Pace, SampleBlock, StreamState};
 use spandrel_checkpoint::{Checkpoints, Identity, Place, Refusal};
 use spandrel_fuse::{Fusion, FusionState};
 use spandrel_identify::{Identification, IdentificationState, NodeIdentification, NodeInput, NodeState};
@@ -38,15 +38,20 @@ fn distributed() -> Structure {
     Structure::read(&path).unwrap()
 }
 
-/// The state of the identification that version 0.1.0 has left.
-fn of_identification(structure: &Structure, identity: &Identity) -> IdentificationState {
-    let folder = "../../tests/fixtures/kept/0.1.0/state/spandrel/kept/house/checkpoints";
-    let files = std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)).unwrap();
-    let mut paths = files.map(|file| file.unwrap().path());
-    let path = paths.find(|path| path.file_name().unwrap().to_str().unwrap().starts_with("identify-")).unwrap();
-    let state: IdentificationState = identity.open(&std::fs::read(path).unwrap()).unwrap();
-    Identification::new(structure, "identify").unwrap().restore(state.clone()).unwrap();
-    state
+/// The state of the identification after three seconds of frames.
+fn of_identification(structure: &Structure) -> IdentificationState {
+    let mut core = Identification::new(structure, "identify").unwrap();
+    let block = FrameBlock {
+        header: Header { source: "ingest".into(), epoch: 1, sequence: 0, time_ns: 0 },
+        t0_ns: 0,
+        sampling_rate_hz: structure.sampling_rate_hz(),
+        channels: structure.channel_count() as u16,
+        values: structure.simulator(1).take(300).flat_map(|frame| frame.values).collect(),
+        state: StreamState::Running,
+    };
+    core.handle(spandrel_identify::Input::Frames(block), &mut Vec::new());
+    assert_eq!(core.done(), 300);
+    core.state()
 }
 
 /// The state of a worker after three seconds of samples.
@@ -198,7 +203,7 @@ fn damaged_checkpoints_of_identify_are_set_aside_and_the_one_before_taken() {
         Structure::read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/kept/0.1.0/structure.toml"));
     let structure = structure.unwrap();
     let identity = identity("identify", IdentificationState::VERSION, &structure);
-    let state = of_identification(&structure, &identity);
+    let state = of_identification(&structure);
     try_damages(&identity, &state, |state| {
         let mut core = Identification::new(&structure, "identify").unwrap();
         core.restore(state).map_err(|why| why.to_string())

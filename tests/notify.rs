@@ -16,7 +16,7 @@ use std::time::Duration;
 use support::{DEADLINE, Process, Site, spandrel, two_storeys, within};
 
 /// Damage of storey 2 at 20 s; a rule against the design.
-const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
+const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
                        [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
 const TOKEN: &str = "t0ken-of-the-test";
 const PATH: &str = "/hooks/s3cret-path";
@@ -174,6 +174,11 @@ fn alert(site: &Site, seconds: i64, state: AlertState) -> AlertMessage {
         reference_std: Some(0.0),
         acknowledged_by: None,
         why: "storey-2 has lost 10 %".to_owned(),
+        fit: None,
+        fit_reasons: spandrel_bus::FitReasons::default(),
+        follows_jump: false,
+        undecided_because: None,
+        revision: 0,
     }
 }
 

@@ -57,7 +57,7 @@ fn tower_with(storeys: u32, parameters: &str) -> String {
         + &node(30)
         + &node(60)
         + "[ingest]\nlateness-s = 3600\n\
-           [[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 3\n"
+           [[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 3\n"
 }
 
 /// Live sensors that put as fast as ingest takes, and what identify says meanwhile.

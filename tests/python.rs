@@ -11,7 +11,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 use support::{Process, Secured, Site, two_storeys, within};
 
-const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
+const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
                        [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
 
 fn python() -> Option<String> {

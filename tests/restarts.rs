@@ -84,8 +84,11 @@ async fn a_replay_that_is_stopped_ends_its_nodes_where_they_are() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hangup_reads_the_rules_again_and_changes_no_bit_of_what_is_identified() {
-    let rule =
-        |loss: f64| format!("[[alert]]\nparameters = \"all\"\nloss = {loss}\ncredibility = 0.99\nsustain-s = 3\n");
+    let rule = |loss: f64| {
+        format!(
+            "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = {loss}\ncredibility = 0.99\nsustain-s = 3\n"
+        )
+    };
     let site = Site::with(&two_storeys(&rule(0.05)));
     let record = site.simulate(RECORD_S);
     let expected = site.estimate(&record);
@@ -115,7 +118,9 @@ async fn a_hangup_reads_the_rules_again_and_changes_no_bit_of_what_is_identified
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hangup_keeps_an_acknowledgement_and_ends_what_the_new_rule_does_not_raise() {
     let with = |loss: f64| {
-        let rule = format!("[[alert]]\nparameters = \"all\"\nloss = {loss}\ncredibility = 0.99\nsustain-s = 3\n");
+        let rule = format!(
+            "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = {loss}\ncredibility = 0.99\nsustain-s = 3\n"
+        );
         let damage = "[[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
         two_storeys(&format!("{rule}{damage}"))
     };

@@ -4,8 +4,8 @@
 
 use libfuzzer_sys::fuzz_target;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Block, CaughtUp, Description, EstimateBlock, Event, FeedbackMessage, FrameBlock,
-    HistoryLog, HistorySpan, LocalMessage, Message, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    Acknowledgement, AlertMessage, Block, CaughtUp, Description, EstimateBlock, Event, FeedbackMessage, FitDisplay,
+    FrameBlock, HistoryLog, HistorySpan, LocalMessage, Message, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
     ParameterDisplay, Progress, SampleBlock, StateMessage, Status,
 };
 
@@ -30,7 +30,7 @@ fn block<B: Block>(payload: &[u8]) {
     }
 }
 
-const TYPES: [fn(&[u8]); 20] = [
+const TYPES: [fn(&[u8]); 21] = [
     block::<SampleBlock>,
     block::<FrameBlock>,
     block::<EstimateBlock>,
@@ -51,6 +51,7 @@ const TYPES: [fn(&[u8]); 20] = [
     message::<HistorySpan>,
     message::<HistoryLog>,
     message::<StateMessage>,
+    message::<FitDisplay>,
 ];
 
 fuzz_target!(|bytes: &[u8]| {

@@ -100,7 +100,7 @@ struct Town {
 impl Town {
     async fn start() -> Self {
         let house = |number: usize| {
-            let rules = "[ingest]\nlateness-s = 5\n[[alert]]\nparameters = \"all\"\nloss = 0.3\ncredibility = 0.99\nsustain-s = 10\n";
+            let rules = "[ingest]\nlateness-s = 5\n[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.3\ncredibility = 0.99\nsustain-s = 10\n";
             let text = two_storeys(rules).replace("\"house\"", &format!("\"house-{number}\""));
             Site::with(&text.replace("sampling-rate-hz = 100", "sampling-rate-hz = 100\ndisplay-rate-hz = 1"))
         };

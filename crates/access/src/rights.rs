@@ -41,17 +41,18 @@ impl Right {
 }
 
 /// What people see, and what is kept for them.
-const DISPLAYED: [KeyFamily; 8] =
-    [K::Parameter, K::Noise, K::Outlier, K::ModelClass, K::Node, K::Alert, K::Acknowledge, K::Event];
+const DISPLAYED: [KeyFamily; 9] =
+    [K::Parameter, K::Noise, K::Outlier, K::ModelClass, K::Fit, K::Node, K::Alert, K::Acknowledge, K::Event];
 
 /// What the services of a worker put.
-const IDENTIFIED: [KeyFamily; 10] = [
+const IDENTIFIED: [KeyFamily; 11] = [
     K::Frames,
     K::Estimates,
     K::Parameter,
     K::Noise,
     K::Outlier,
     K::ModelClass,
+    K::Fit,
     K::Node,
     K::Feedback,
     K::Event,
@@ -155,6 +156,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Parameter
         | K::Noise
         | K::ModelClass
+        | K::Fit
         | K::Node
         | K::Outlier
         | K::Event

@@ -1,7 +1,7 @@
 //! An alert: where one parameter stands against one rule, and why.
 
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{AlertMessage, AlertState, CredibleInterval, Name};
+use spandrel_bus::{AlertMessage, AlertState, CredibleInterval, FitReasons, FitVerdict, Name, UndecidedBecause};
 
 use crate::{LossEstimate, ParameterEstimate, Reference};
 
@@ -32,6 +32,16 @@ pub struct Alert {
     pub acknowledgement: Option<Acknowledged>,
     /// The decision in words.
     pub why: String,
+    /// The verdict on the fit at the last frame; `None` where nobody judges it.
+    pub fit: Option<FitVerdict>,
+    /// Why the fit is not supported.
+    pub fit_reasons: FitReasons,
+    /// Whether the filter follows a sudden change: the loss is still moving.
+    pub follows_jump: bool,
+    /// Why nothing is decided now; `None` while alerts are decided.
+    pub undecided_because: Option<UndecidedBecause>,
+    /// How often this was said before, with another loss.
+    pub revision: u32,
 }
 
 /// Level of the interval of [`LossEstimate`].
@@ -47,6 +57,12 @@ pub struct Acknowledged {
 }
 
 impl Alert {
+    /// Returns `true` if this is the alert `other` in the same state, perhaps with another loss.
+    pub(crate) fn says_the_same(&self, other: &Self) -> bool {
+        let said = |alert: &Self| (alert.rule, alert.parameter, alert.state, alert.since_ns, alert.undecided_because);
+        said(self) == said(other) && self.acknowledgement == other.acknowledgement
+    }
+
     /// The message that says so to others; the only place that knows both forms.
     pub fn to_message(&self, structure: &Name, parameter: &Name) -> AlertMessage {
         AlertMessage {
@@ -70,6 +86,11 @@ impl Alert {
             reference_std: self.reference.map(|reference| reference.std()),
             acknowledged_by: self.acknowledgement.as_ref().map(|acknowledged| acknowledged.who.clone()),
             why: self.why.clone(),
+            fit: self.fit,
+            fit_reasons: self.fit_reasons,
+            follows_jump: self.follows_jump,
+            undecided_because: self.undecided_because,
+            revision: self.revision,
         }
         // one that was remembered by an earlier version may hold a name that none would send now
         .legible()

@@ -4,43 +4,58 @@
 //!
 //! The reference is what a further sound record would show: between records a structure differs by temperature and by the
 //! strength of the shaking, and that must not look like damage. With the one-way random model
-//! (S. R. Searle, G. Casella, C. E. McCulloch, *Variance Components*, 1992, chapter 3):
+//! (S. R. Searle, G. Casella, C. E. McCulloch, *Variance Components*, 1992, chapter 3) m_i is normal about the mean of the
+//! structure, with the variance σ_b² between records plus v_i:
 //!
-//! m̄ = Σ m_i/n,  b² = Σ (m_i − m̄)²/(n − 1),  s_r² = Σ v_i/n + b²·(1 + 1/n)
+//! m̄ = Σ m_i/n,  b² = Σ (m_i − m̄)²/(n − 1),  v̄ = Σ v_i/n
 //!
-//! b² holds the errors of the m_i too, which v_i counts again: with few records that is the safe side.
-
-use std::path::Path;
+//! b² has the expectation σ_b² + v̄ and n − 1 degrees of freedom. A further record differs from m̄ by a Student variable with the
+//! scale b·√(1 + 1/n), and by its own uncertainty. b² holds v̄, which the further record counts again: that is the safe side.
+//!
+//! One record knows nothing of σ_b. The owner may state it: then a further record differs from m̄ by a normal variable with
+//! the variance σ_b²·(1 + 1/n) + v̄/n.
 
 use serde::{Deserialize, Serialize};
+use spandrel_bus::CredibleInterval;
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::{AlertError, Learning, Reference, SpanSummary};
+use crate::scatter::NormalPlusStudent;
+use crate::{AlertError, Learning, ParameterEstimate, Reference, Scatter, SpanSummary};
 
-/// Type and version in the file.
-const FORMAT: &str = "spandrel.baseline.v1";
+mod file;
 
 /// The sound values of the parameters of one structure.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Baseline {
-    format: String,
     structure: String,
     records: usize,
     parameters: Vec<ParameterBaseline>,
+    is_old_file: bool,
 }
 
 /// The sound value of one parameter, ratios to nominal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct ParameterBaseline {
-    parameter: String,
-    mean: f64,
-    /// Of what a further record would show.
-    std: f64,
-    /// Part of it that the filter does not know within a record.
-    within_std: f64,
-    /// Part of it from record to record (before the factor 1 + 1/n).
-    between_std: f64,
+pub struct ParameterBaseline {
+    /// Name of the parameter.
+    pub parameter: String,
+    /// Mean of the records.
+    pub mean: f64,
+    /// What a record leaves open on average: standard deviation.
+    pub within_std: f64,
+    /// Standard deviation from record to record; `None` if one record is all there is, and nothing was stated.
+    pub between_std: Option<f64>,
+    /// How many deviations `between_std` was estimated from; `None` if it was stated, or is unknown.
+    pub degrees_of_freedom: Option<f64>,
+}
+
+/// What is known of the scatter between records beforehand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum BetweenRecords {
+    /// Nothing: the records must show it.
+    Estimated,
+    /// Its standard deviation, ratio to nominal.
+    Stated(f64),
 }
 
 /// What one record has taught, an entry per parameter.
@@ -87,8 +102,14 @@ impl Baseline {
     /// Joins what several records have taught about the `parameters` (names in state order) of `structure`.
     ///
     /// # Errors
-    /// There is no record, a record has another number of parameters, or a parameter is too uncertain to be a reference.
-    pub fn from_records(structure: &str, parameters: &[&str], records: &[RecordSummary]) -> Result<Self, AlertError> {
+    /// There is no record, a record has another number of parameters, a parameter is too uncertain within its records, or the
+    /// records differ by more than a stated scatter allows.
+    pub fn from_records(
+        structure: &str,
+        parameters: &[&str],
+        records: &[RecordSummary],
+        between: BetweenRecords,
+    ) -> Result<Self, AlertError> {
         if records.is_empty() {
             return Err(AlertError::NoRecords);
         }
@@ -97,42 +118,12 @@ impl Baseline {
         }
         let joined = parameters.iter().enumerate().map(|(index, name)| {
             let spans: Vec<SpanSummary> = records.iter().map(|record| record.parameters[index]).collect();
-            join_spans(name, &spans)
+            join_spans(name, &spans, between).map_err(|error| of_parameter(name, error))
         });
-        let baseline = Self {
-            format: FORMAT.to_owned(),
-            structure: structure.to_owned(),
-            records: records.len(),
-            parameters: joined.collect(),
-        };
+        let parameters = joined.collect::<Result<_, _>>()?;
+        let baseline = Self { structure: structure.to_owned(), records: records.len(), parameters, is_old_file: false };
         baseline.check()?;
         Ok(baseline)
-    }
-
-    /// Reads a baseline file.
-    ///
-    /// # Errors
-    /// The file cannot be read, is no baseline of this version, or holds a value that cannot be a reference.
-    pub fn read(path: &Path) -> Result<Self, AlertError> {
-        let text =
-            std::fs::read_to_string(path).map_err(|source| AlertError::File { path: path.to_owned(), source })?;
-        let baseline: Self = serde_json::from_str(&text)
-            .map_err(|source| AlertError::BaselineSyntax { path: path.to_owned(), source })?;
-        if baseline.format != FORMAT {
-            return Err(AlertError::BaselineFormat { path: path.to_owned(), found: baseline.format, expected: FORMAT });
-        }
-        baseline.check()?;
-        Ok(baseline)
-    }
-
-    /// Writes the baseline file.
-    ///
-    /// # Errors
-    /// The file cannot be written.
-    pub fn write(&self, path: &Path) -> Result<(), AlertError> {
-        let text = serde_json::to_string_pretty(self)
-            .map_err(|source| AlertError::BaselineSyntax { path: path.to_owned(), source })?;
-        std::fs::write(path, text + "\n").map_err(|source| AlertError::File { path: path.to_owned(), source })
     }
 
     /// Name of the structure.
@@ -140,10 +131,48 @@ impl Baseline {
         &self.structure
     }
 
-    /// The sound value of a parameter; `None` if the baseline does not know it.
+    /// Number of records that it was learnt from.
+    pub fn records(&self) -> usize {
+        self.records
+    }
+
+    /// Returns `true` if the file was written in version 1, which did not state how many records its scatter rests on for each
+    /// parameter: it is then taken as estimated from all records but one.
+    pub fn is_old_file(&self) -> bool {
+        self.is_old_file
+    }
+
+    /// The sound value of a parameter in any further record; `None` if the baseline does not know the parameter, or knows
+    /// it from too few records ([`Baseline::claim`] says which).
     pub fn reference(&self, parameter: &str) -> Option<Reference> {
-        let found = self.parameters.iter().find(|entry| entry.parameter == parameter)?;
-        Reference::new(found.mean, found.std).ok()
+        self.claim(parameter)?.ok()
+    }
+
+    /// The sound value of a parameter in any further record, or why its records do not support one; `None` if the baseline does
+    /// not know the parameter.
+    ///
+    /// # Errors
+    /// Of the inner result: [`AlertError::OneRecord`] without any scatter between records, [`AlertError::FewRecords`] where it
+    /// is too large for so few records.
+    pub fn claim(&self, parameter: &str) -> Option<Result<Reference, AlertError>> {
+        Some(self.parameter(parameter)?.reference(self.records))
+    }
+
+    /// Interval of a parameter for this structure: what other records of the same structure would show, from an estimate
+    /// within one record and the scatter between records. `None` if the baseline does not know the parameter, or knows no scatter.
+    pub fn for_structure(&self, parameter: &str, estimate: &ParameterEstimate) -> Option<CredibleInterval> {
+        let found = self.parameter(parameter)?;
+        let (normal_std, student_scale, degrees_of_freedom) = match (found.between_std?, found.degrees_of_freedom) {
+            (between, Some(degrees_of_freedom)) => (estimate.std, between, degrees_of_freedom),
+            (between, None) => (estimate.std.hypot(between), 0.0, 1.0),
+        };
+        let half = NormalPlusStudent { normal_std, student_scale, degrees_of_freedom }.quantile(0.5 + LEVEL / 2.0);
+        Some(CredibleInterval { level: LEVEL, low: estimate.mean - half, high: estimate.mean + half })
+    }
+
+    /// What the baseline holds of a parameter; `None` if it does not know it.
+    pub fn parameter(&self, parameter: &str) -> Option<&ParameterBaseline> {
+        self.parameters.iter().find(|entry| entry.parameter == parameter)
     }
 
     /// Names of the parameters that the baseline knows.
@@ -151,91 +180,86 @@ impl Baseline {
         self.parameters.iter().map(|entry| entry.parameter.as_str())
     }
 
+    /// Checks that each parameter is known well enough within its records. Too few records are no mistake.
     fn check(&self) -> Result<(), AlertError> {
         for entry in &self.parameters {
-            Reference::new(entry.mean, entry.std).map_err(|error| AlertError::Parameter {
-                parameter: entry.parameter.clone(),
-                source: Box::new(error),
-            })?;
+            Reference::new(entry.mean, entry.within_std).map_err(|error| of_parameter(&entry.parameter, error))?;
         }
         Ok(())
     }
 }
 
+impl ParameterBaseline {
+    /// What a further record would show, from so many records.
+    fn reference(&self, records: usize) -> Result<Reference, AlertError> {
+        let n = records as f64;
+        let further = (1.0 + 1.0 / n).sqrt();
+        match (self.between_std, self.degrees_of_freedom) {
+            (None, _) => Err(AlertError::OneRecord),
+            (Some(between), None) => Reference::new(self.mean, (between * further).hypot(self.within_std / n.sqrt())),
+            (Some(between), Some(degrees_of_freedom)) => {
+                let scatter = Scatter { std: between * further, degrees_of_freedom };
+                Reference::new(self.mean, 0.0)?.with_scatter(scatter)
+            }
+        }
+    }
+}
+
+/// Level of the intervals of a parameter.
+const LEVEL: f64 = 0.95;
+
 /// Joins the spans of one parameter, at least one, by the equations at the head of this file.
-fn join_spans(parameter: &str, spans: &[SpanSummary]) -> ParameterBaseline {
+fn join_spans(
+    parameter: &str,
+    spans: &[SpanSummary],
+    between: BetweenRecords,
+) -> Result<ParameterBaseline, AlertError> {
     let n = spans.len() as f64;
     let mean = spans.iter().map(|span| span.mean).sum::<f64>() / n; //                   m̄
-    let within = spans.iter().map(SpanSummary::variance).sum::<f64>() / n; //            Σ v_i/n
+    let within = spans.iter().map(SpanSummary::variance).sum::<f64>() / n; //            v̄
     let squares: f64 = spans.iter().map(|span| (span.mean - mean).powi(2)).sum();
-    let between = if spans.len() > 1 { squares / (n - 1.0) } else { 0.0 }; //            b²
-    ParameterBaseline {
-        parameter: parameter.to_owned(),
-        mean,
-        std: (within + between * (1.0 + 1.0 / n)).sqrt(), //                             s_r
-        within_std: within.sqrt(),
-        between_std: between.sqrt(),
+    let found = (spans.len() > 1).then(|| squares / (n - 1.0)); //                       b²
+    let (between_std, degrees_of_freedom) = match (between, found) {
+        (BetweenRecords::Stated(stated), found) => {
+            check_stated(stated, within, found, n - 1.0)?;
+            (Some(stated), None)
+        }
+        (BetweenRecords::Estimated, Some(found)) => (Some(found.sqrt()), Some(n - 1.0)),
+        (BetweenRecords::Estimated, None) => (None, None),
+    };
+    let parameter = parameter.to_owned();
+    Ok(ParameterBaseline { parameter, mean, within_std: within.sqrt(), between_std, degrees_of_freedom })
+}
+
+/// Checks that the records do not contradict a stated scatter: (n − 1)·b²/(σ_b² + v̄) has the distribution χ² with n − 1
+/// degrees of freedom.
+fn check_stated(stated: f64, within: f64, found: Option<f64>, degrees_of_freedom: f64) -> Result<(), AlertError> {
+    if !(stated.is_finite() && stated >= 0.0) {
+        return Err(AlertError::Setting {
+            setting: "scatter between records",
+            found: stated,
+            low: 0.0,
+            high: f64::MAX,
+        });
     }
+    let Some(found) = found else { return Ok(()) };
+    let allowed = (stated * stated + within) * largest_mean_square(degrees_of_freedom);
+    if found <= allowed {
+        return Ok(());
+    }
+    Err(AlertError::StatedScatter { found: found.sqrt(), stated, allowed: allowed.sqrt() })
+}
+
+/// The point of χ²/ν that is exceeded with probability 0.001; infinite without degrees of freedom.
+fn largest_mean_square(degrees_of_freedom: f64) -> f64 {
+    const NOT_EXCEEDED: f64 = 0.999;
+    ChiSquared::new(degrees_of_freedom)
+        .map_or(f64::INFINITY, |distribution| distribution.inverse_cdf(NOT_EXCEEDED) / degrees_of_freedom)
+}
+
+fn of_parameter(parameter: &str, source: AlertError) -> AlertError {
+    AlertError::Parameter { parameter: parameter.to_owned(), source: Box::new(source) }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn record(mean: f64, std: f64) -> RecordSummary {
-        RecordSummary::from_estimates(vec![[(mean, std)]; 50]).unwrap()
-    }
-
-    #[test]
-    fn spread_between_records_widens_the_reference() {
-        // m = 0.9, 1.0, 1.1: b² = 0.01; v = 0.0004: s_r² = 0.0004 + 0.01·4/3.
-        let records = [record(0.9, 0.02), record(1.0, 0.02), record(1.1, 0.02)];
-        let reference =
-            Baseline::from_records("tower", &["storey-1"], &records).unwrap().reference("storey-1").unwrap();
-        assert!((reference.mean() - 1.0).abs() < 1e-12);
-        assert!((reference.std().powi(2) - 0.013_733_333_333).abs() < 1e-9, "{}", reference.std());
-    }
-
-    #[test]
-    fn one_record_keeps_its_own_uncertainty() {
-        let baseline = Baseline::from_records("tower", &["storey-1"], &[record(0.9, 0.02)]).unwrap();
-        let reference = baseline.reference("storey-1").unwrap();
-        assert!((reference.std() - 0.02).abs() < 1e-12);
-    }
-
-    #[test]
-    fn file_reads_back_as_it_was_written() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("baseline.json");
-        let records = [record(0.9, 0.02), record(0.95, 0.03)];
-        let written = Baseline::from_records("tower", &["storey-1"], &records).unwrap();
-        written.write(&path).unwrap();
-        let read = Baseline::read(&path).unwrap();
-        assert_eq!(read.structure(), "tower");
-        let (a, b) = (read.reference("storey-1").unwrap(), written.reference("storey-1").unwrap());
-        assert!((a.mean() - b.mean()).abs() < 1e-15 && (a.std() - b.std()).abs() < 1e-15);
-    }
-
-    #[test]
-    fn file_of_another_version_is_refused_with_both_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("baseline.json");
-        std::fs::write(&path, r#"{"format":"spandrel.baseline.v9","structure":"a","records":1,"parameters":[]}"#)
-            .unwrap();
-        let message = Baseline::read(&path).unwrap_err().to_string();
-        assert!(message.contains("spandrel.baseline.v9") && message.contains("spandrel.baseline.v1"), "{message}");
-    }
-
-    #[test]
-    fn parameter_too_uncertain_to_be_a_reference_is_named() {
-        let error = Baseline::from_records("tower", &["storey-1"], &[record(0.9, 0.5)]).unwrap_err();
-        assert!(error.to_string().contains("storey-1"), "{error}");
-    }
-
-    #[test]
-    fn frames_of_unequal_length_are_no_record() {
-        assert!(RecordSummary::from_estimates([vec![(1.0, 0.1)], vec![]]).is_none());
-        assert!(RecordSummary::from_estimates([vec![(1.0, 0.1)], vec![(1.0, 0.1); 2]]).is_none());
-        assert!(RecordSummary::from_estimates(Vec::<Vec<(f64, f64)>>::new()).is_none());
-    }
-}
+mod tests;

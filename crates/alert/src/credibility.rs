@@ -1,4 +1,5 @@
-//! How sure a loss is: estimate and reference are independent normal variables.
+//! How sure a loss is: estimate and reference are independent; the estimate is normal, and the reference is normal or, where its
+//! scatter was estimated from few records, the sum of a normal and a Student variable (`scatter`).
 //!
 //! Notation: m, s mean and standard deviation of the parameter; r, s_r those of the reference (all ratios to nominal);
 //! L loss, so that L = 1 − parameter/reference; Φ the standard normal distribution function.
@@ -7,11 +8,11 @@
 //! (1954), 175-185. Independence errs on the safe side of a reference learnt from the same filter: errors that both
 //! share would cancel.
 
-use std::f64::consts::SQRT_2;
-
 use serde::{Deserialize, Serialize};
+use spandrel_bus::CredibleInterval;
 
 use crate::Reference;
+use crate::scatter::{NormalPlusStudent, bisect, normal_cdf};
 
 /// Mean and standard deviation of a parameter at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -22,6 +23,14 @@ pub struct ParameterEstimate {
     pub mean: f64,
     /// Standard deviation, ratio to nominal.
     pub std: f64,
+}
+
+impl ParameterEstimate {
+    /// The interval of 95 % within the record that it rests on.
+    pub fn interval(&self) -> CredibleInterval {
+        let half = QUANTILE_95 * self.std;
+        CredibleInterval { level: 0.95, low: self.mean - half, high: self.mean + half }
+    }
 }
 
 /// A loss and the interval that holds it with probability 0.95; shares of the reference (0.1 = 10 %).
@@ -40,10 +49,14 @@ const QUANTILE_95: f64 = 1.959_963_984_540_054;
 
 /// Probability that the parameter has lost more than `loss` (share of the reference).
 ///
-/// P = Φ(((1 − L)·r − m) / √(s² + (1 − L)²·s_r²)), because the parameter less (1 − L) times the reference is normal.
+/// P = Φ(((1 − L)·r − m) / √(s² + (1 − L)²·s_r²)), because the parameter less (1 − L) times the reference is normal. With
+/// scatter from few records, the distribution function of `scatter` stands in the place of Φ.
 pub fn probability_of_loss(estimate: &ParameterEstimate, reference: &Reference, loss: f64) -> f64 {
     let kept = 1.0 - loss;
     let margin = kept * reference.mean() - estimate.mean;
+    if let Some(sum) = reference.deviation(estimate.std, kept).filter(NormalPlusStudent::is_wide) {
+        return sum.cdf(margin);
+    }
     let std = estimate.std.hypot(kept * reference.std());
     if std == 0.0 {
         return if margin > 0.0 { 1.0 } else { 0.0 };
@@ -55,8 +68,11 @@ pub fn probability_of_loss(estimate: &ParameterEstimate, reference: &Reference, 
 ///
 /// The ends are the L at which [`probability_of_loss`] is 0.975 and 0.025 (Fieller 1954): the roots q = 1 − L of
 /// (r² − z²·s_r²)·q² − 2·m·r·q + m² − z²·s² = 0. A [`Reference`] is at least three standard deviations from zero, so the
-/// first coefficient is positive and the interval finite.
+/// first coefficient is positive and the interval finite. With scatter from few records the ends are found by bisection.
 pub fn loss_estimate(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
+    if reference.scatter().is_some() {
+        return loss_by_bisection(estimate, reference);
+    }
     let (m, r) = (estimate.mean, reference.mean());
     let zs = QUANTILE_95 * estimate.std;
     let zs_r = QUANTILE_95 * reference.std();
@@ -68,10 +84,37 @@ pub fn loss_estimate(estimate: &ParameterEstimate, reference: &Reference) -> Los
     LossEstimate { loss: 1.0 - m / r, low: 1.0 - (half_b + root) / a, high: 1.0 - (half_b - root) / a }
 }
 
-/// Φ(z) = erfc(−z/√2)/2, with full relative precision in the lower tail.
-fn normal_cdf(z: f64) -> f64 {
-    0.5 * libm::erfc(-z / SQRT_2)
+/// The loss against the mean of the reference with the 95 % interval within the record: what the estimate alone leaves open.
+pub fn loss_within_record(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
+    let CredibleInterval { low, high, .. } = estimate.interval();
+    let loss = |value: f64| 1.0 - value / reference.mean();
+    LossEstimate { loss: loss(estimate.mean), low: loss(high), high: loss(low) }
 }
+
+/// As [`loss_estimate`], for any distribution: the probability of a loss falls as the loss asked about grows.
+fn loss_by_bisection(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
+    let loss = 1.0 - estimate.mean / reference.mean();
+    let is_below = |level: f64| move |loss: f64| probability_of_loss(estimate, reference, loss) < level;
+    // a loss is a share of the reference: steps of it find a bracket
+    let end = |level: f64| {
+        let (mut low, mut high, mut step) = (loss, loss, FIRST_STEP);
+        while is_below(level)(low) && step < LARGEST_STEP {
+            low -= step;
+            step *= 2.0;
+        }
+        step = FIRST_STEP;
+        while !is_below(level)(high) && step < LARGEST_STEP {
+            high += step;
+            step *= 2.0;
+        }
+        bisect(low, high, is_below(level))
+    };
+    LossEstimate { loss, low: end(0.975), high: end(0.025) }
+}
+
+/// First and last step in looking for the end of an interval, shares of the reference.
+const FIRST_STEP: f64 = 0.01;
+const LARGEST_STEP: f64 = 1e6;
 
 #[cfg(test)]
 mod tests {

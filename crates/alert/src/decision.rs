@@ -7,26 +7,30 @@
 //!              └──────────────────────────  normal
 //! ```
 //!
+//! Beside these, `undecided` stands in the place of learning, normal and pending while the data support no decision, and
+//! `unconfirmed` in the place of raised and acknowledged, until the loss is confirmed or cleared. A cleared alert stays
+//! cleared, and says that nothing is decided.
+//!
 //! Normal becomes pending when the probability P of the loss reaches the credibility, and raised when it has stayed there
 //! for the sustain time. A raised alert is cleared when P has stayed below the clear credibility for the sustain time: so
 //! it does not flap. A cleared alert that nobody has acknowledged waits for it; one that was acknowledged is normal at once.
 
 use serde::{Deserialize, Serialize};
-use spandrel_bus::AlertState;
+use spandrel_bus::{AlertState, EstimateFlags, FitVerdict, Phase, UndecidedBecause};
 
 use crate::{
     Alert, Learning, ParameterEstimate, Reference, Rule,
     alert::Acknowledged,
-    credibility::{loss_estimate, probability_of_loss},
+    credibility::probability_of_loss,
     rule::ReferenceRule,
-    wording::describe,
+    support::{DecidedFrames, Jump, Support, rests_on_bound},
 };
 
 /// What a decision reacts to.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Input {
-    /// The estimate of a frame, in order of time.
-    Estimate(ParameterEstimate),
+    /// The estimate of a frame, in order of time, with what was special about the frame.
+    Estimate(ParameterEstimate, EstimateFlags),
     /// Estimates are missing: what was sustained is not known to have been.
     Gap,
     /// The source of the estimates has started again, from a checkpoint or from its prior.
@@ -48,6 +52,8 @@ pub struct Subject {
     pub quantity: String,
     /// Standard deviation that the filter starts from, ratio to nominal.
     pub prior_std: f64,
+    /// Least and largest value that the filter may report, ratios to nominal.
+    pub bounds: (f64, f64),
 }
 
 /// The state of one parameter against one rule.
@@ -58,7 +64,10 @@ pub struct Decision {
     subject: Subject,
     stage: Stage,
     knowledge: Knowledge,
-    last_estimate: Option<ParameterEstimate>,
+    support: Support,
+    jump: Jump,
+    decided: DecidedFrames,
+    last: Option<(ParameterEstimate, EstimateFlags)>,
     last_alert: Option<Alert>,
 }
 
@@ -78,6 +87,8 @@ enum Watching {
         since_ns: i64,
         acknowledged: Option<Acknowledged>,
         low_since_ns: Option<i64>,
+        /// Since the last stretch without decisions, the loss has been found again.
+        is_confirmed: bool,
     },
     ClearedUnseen,
     /// Cleared without being acknowledged, and credible again.
@@ -112,7 +123,10 @@ impl Decision {
             subject,
             stage,
             knowledge: Knowledge::Measured,
-            last_estimate: None,
+            support: Support::default(),
+            jump: Jump::default(),
+            decided: DecidedFrames::default(),
+            last: None,
             last_alert: None,
         }
     }
@@ -121,7 +135,7 @@ impl Decision {
     /// acknowledgement of nothing has none.
     pub fn handle(&mut self, input: Input, alerts: &mut Vec<Alert>) -> bool {
         match input {
-            Input::Estimate(estimate) => self.handle_estimate(estimate, alerts),
+            Input::Estimate(estimate, flags) => self.handle_estimate(estimate, flags, alerts),
             Input::Gap => self.interrupt(),
             Input::NewSource => {
                 self.interrupt();
@@ -142,9 +156,9 @@ impl Decision {
     }
 
     /// Where the parameter stands at the last estimate, for a decision that has had nothing to announce; `None` before the
-    /// first estimate.
+    /// first estimate that was decided on.
     pub fn unannounced(&self) -> Option<Alert> {
-        self.alert(self.state()).filter(|_| self.last_alert.is_none())
+        self.alert(self.state()).filter(|_| self.last_alert.is_none() && self.support.decides())
     }
 
     /// The parameter watched.
@@ -157,18 +171,80 @@ impl Decision {
         &self.rule
     }
 
-    fn handle_estimate(&mut self, estimate: ParameterEstimate, alerts: &mut Vec<Alert>) {
-        self.last_estimate = Some(estimate);
+    /// Why nothing is decided now; `None` while alerts are decided.
+    pub fn undecided_because(&self) -> Option<UndecidedBecause> {
+        self.support.undecided_because()
+    }
+
+    /// How many frames were decided on since the reference was known.
+    pub fn decided_frames(&self) -> &DecidedFrames {
+        &self.decided
+    }
+
+    fn handle_estimate(&mut self, estimate: ParameterEstimate, flags: EstimateFlags, alerts: &mut Vec<Alert>) {
+        let before_ns = self.last.map_or(estimate.time_ns, |(last, _)| last.time_ns);
+        self.last = Some((estimate, flags));
         if estimate.std < MEASURED_SHARE_OF_PRIOR * self.subject.prior_std {
             self.knowledge = Knowledge::Measured;
         }
-        match &self.stage {
-            Stage::Learning { .. } => self.learn(estimate, alerts),
-            Stage::Watching { reference, watch } => {
-                let probability = probability_of_loss(&estimate, reference, self.rule.loss());
-                let next = self.next(watch.clone(), probability, estimate.time_ns);
-                self.enter(next, alerts);
+        self.jump.take(flags.follows_jump, estimate.time_ns);
+        let hindrance = self.hindrance(&estimate, &flags);
+        let was_undecided = self.support.undecided_because().is_some();
+        self.support.take(hindrance, estimate.time_ns);
+        if !was_undecided && self.support.undecided_because().is_some() {
+            self.suspend();
+        }
+        let decides = self.support.decides();
+        match &mut self.stage {
+            Stage::Learning { .. } if decides => self.learn(estimate, alerts),
+            Stage::Learning { started_ns, .. } => {
+                // what was not learnt from does not count towards the span
+                let skipped_ns = estimate.time_ns.saturating_sub(before_ns).max(0);
+                *started_ns = started_ns.map(|start_ns| start_ns.saturating_add(skipped_ns));
+                self.announce_change(alerts);
             }
+            Stage::Watching { reference, watch } => {
+                let undecided = hindrance.or(self.support.undecided_because());
+                self.decided.count(undecided);
+                if decides {
+                    let probability = probability_of_loss(&estimate, reference, self.rule.loss());
+                    let watch = watch.clone();
+                    let next = self.next(watch, probability, estimate.time_ns);
+                    self.enter(next, alerts);
+                    self.revise(alerts);
+                } else {
+                    self.announce_change(alerts);
+                }
+            }
+        }
+    }
+
+    /// What keeps a frame from being decided on, the most fundamental first.
+    fn hindrance(&self, estimate: &ParameterEstimate, flags: &EstimateFlags) -> Option<UndecidedBecause> {
+        match flags.phase {
+            Phase::Training => return Some(UndecidedBecause::NoiseTraining),
+            Phase::ExcitationSilent => return Some(UndecidedBecause::ExcitationSilent),
+            Phase::Working => {}
+        }
+        if flags.fit == Some(FitVerdict::Contradicted) {
+            return Some(UndecidedBecause::FitContradicted);
+        }
+        if rests_on_bound(estimate, self.subject.bounds) {
+            return Some(UndecidedBecause::ParameterAtBound);
+        }
+        let Stage::Watching { reference, .. } = &self.stage else {
+            return None; // whether a loss would show depends on the reference
+        };
+        let is_learnt =
+            self.knowledge == Knowledge::Measured && self.support.shows_losses(estimate, reference, &self.rule);
+        (!is_learnt).then_some(UndecidedBecause::NothingLearnt)
+    }
+
+    /// Nothing is decided from now on: what was sustained starts anew, and what is raised has to be confirmed.
+    fn suspend(&mut self) {
+        self.interrupt();
+        if let Stage::Watching { watch: Watching::Raised { is_confirmed, .. }, .. } = &mut self.stage {
+            *is_confirmed = false;
         }
     }
 
@@ -191,8 +267,7 @@ impl Decision {
                 self.stage = Stage::Watching { reference, watch: Watching::Normal };
                 self.announce(alerts);
             }
-            None if self.last_alert.is_none() => self.announce(alerts),
-            None => {}
+            None => self.announce_change(alerts),
         }
     }
 
@@ -200,8 +275,9 @@ impl Decision {
     fn next(&self, watch: Watching, probability: f64, time_ns: i64) -> Watching {
         let is_credible = probability >= self.rule.credibility();
         let is_sustained = |since_ns: i64| time_ns.saturating_sub(since_ns) >= self.rule.sustain_ns();
-        let rise = |since_ns: i64, otherwise: Watching| match is_sustained(since_ns) {
-            true => Watching::Raised { since_ns, acknowledged: None, low_since_ns: None },
+        let is_held = self.jump.holds(time_ns); // others are not blamed for a sudden change
+        let rise = |since_ns: i64, otherwise: Watching| match is_sustained(since_ns) && !is_held {
+            true => Watching::Raised { since_ns, acknowledged: None, low_since_ns: None, is_confirmed: true },
             false => otherwise,
         };
         match watch {
@@ -211,30 +287,41 @@ impl Decision {
             Watching::ClearedUnseen if is_credible => rise(time_ns, Watching::PendingUnseen { since_ns: time_ns }),
             Watching::PendingUnseen { since_ns } if is_credible => rise(since_ns, Watching::PendingUnseen { since_ns }),
             Watching::ClearedUnseen | Watching::PendingUnseen { .. } => Watching::ClearedUnseen,
-            Watching::Raised { since_ns, acknowledged, low_since_ns } => {
+            Watching::Raised { since_ns, acknowledged, low_since_ns, is_confirmed } => {
                 // The prior of a filter that has just restarted is no news of the structure: it clears no alert.
                 let is_low = probability < self.rule.clear_credibility() && self.knowledge == Knowledge::Measured;
                 let low_since_ns = is_low.then(|| low_since_ns.unwrap_or(time_ns));
                 match low_since_ns.filter(|since_ns| is_sustained(*since_ns)) {
                     Some(_) if acknowledged.is_some() => Watching::Normal,
                     Some(_) => Watching::ClearedUnseen,
-                    None => Watching::Raised { since_ns, acknowledged, low_since_ns },
+                    None => {
+                        Watching::Raised { since_ns, acknowledged, low_since_ns, is_confirmed: is_confirmed || !is_low }
+                    }
                 }
             }
         }
     }
 
-    /// Takes up a state, and announces it if people have been told another one, or another time of its start.
+    /// Takes up a state, and announces it if that is a change.
     fn enter(&mut self, next: Watching, alerts: &mut Vec<Alert>) {
         if let Stage::Watching { watch, .. } = &mut self.stage {
             *watch = next;
         }
-        let told = self.last_alert.as_ref().map_or((AlertState::Normal, None), |last| (last.state, last.since_ns));
+        self.announce_change(alerts);
+    }
+
+    /// Announces the state if people have been told another one, or another time of its start.
+    fn announce_change(&mut self, alerts: &mut Vec<Alert>) {
         let state = self.state();
-        if told == (state, self.since_ns()) {
+        let last = self.last_alert.as_ref();
+        let told = last.map_or((AlertState::Normal, None, None, None), |last| {
+            (last.state, last.since_ns, last.undecided_because, last.acknowledgement.as_ref())
+        });
+        if told == (state, self.since_ns(), self.support.undecided_because(), self.acknowledgement()) {
             return;
         }
-        if (told.0, state) == (AlertState::Acknowledged, AlertState::Normal) {
+        let was_seen = told.0 == AlertState::Acknowledged || (told.0 == AlertState::Unconfirmed && told.3.is_some());
+        if was_seen && state == AlertState::Normal {
             alerts.extend(self.alert(AlertState::Cleared));
         }
         self.announce(alerts);
@@ -265,9 +352,12 @@ impl Decision {
             return false;
         };
         let next = match watch {
-            Watching::Raised { since_ns, acknowledged: None, low_since_ns } => {
-                Watching::Raised { since_ns: *since_ns, acknowledged: Some(by), low_since_ns: *low_since_ns }
-            }
+            Watching::Raised { since_ns, acknowledged: None, low_since_ns, is_confirmed } => Watching::Raised {
+                since_ns: *since_ns,
+                acknowledged: Some(by),
+                low_since_ns: *low_since_ns,
+                is_confirmed: *is_confirmed,
+            },
             Watching::ClearedUnseen => Watching::Normal,
             Watching::PendingUnseen { since_ns } => Watching::Pending { since_ns: *since_ns },
             Watching::Normal | Watching::Pending { .. } | Watching::Raised { .. } => return false,
@@ -277,15 +367,28 @@ impl Decision {
     }
 
     fn state(&self) -> AlertState {
+        let is_undecided = self.support.undecided_because().is_some();
         match &self.stage {
+            Stage::Learning { .. } if is_undecided => AlertState::Undecided,
             Stage::Learning { .. } => AlertState::Learning,
             Stage::Watching { watch, .. } => match watch {
-                Watching::Normal => AlertState::Normal,
-                Watching::Pending { .. } | Watching::PendingUnseen { .. } => AlertState::Pending,
+                Watching::Raised { is_confirmed, .. } if is_undecided || !is_confirmed => AlertState::Unconfirmed,
                 Watching::Raised { acknowledged: None, .. } => AlertState::Raised,
                 Watching::Raised { acknowledged: Some(_), .. } => AlertState::Acknowledged,
                 Watching::ClearedUnseen => AlertState::Cleared,
+                Watching::Normal | Watching::Pending { .. } | Watching::PendingUnseen { .. } if is_undecided => {
+                    AlertState::Undecided
+                }
+                Watching::Normal => AlertState::Normal,
+                Watching::Pending { .. } | Watching::PendingUnseen { .. } => AlertState::Pending,
             },
+        }
+    }
+
+    fn acknowledgement(&self) -> Option<&Acknowledged> {
+        match &self.stage {
+            Stage::Watching { watch: Watching::Raised { acknowledged, .. }, .. } => acknowledged.as_ref(),
+            Stage::Learning { .. } | Stage::Watching { .. } => None,
         }
     }
 
@@ -301,44 +404,9 @@ impl Decision {
             },
         }
     }
-
-    fn announce(&mut self, alerts: &mut Vec<Alert>) {
-        if let Some(alert) = self.alert(self.state()) {
-            self.last_alert = Some(alert.clone());
-            alerts.push(alert);
-        }
-    }
-
-    /// The alert that says `state` at the last estimate.
-    fn alert(&self, state: AlertState) -> Option<Alert> {
-        let estimate = self.last_estimate?;
-        let (reference, acknowledgement) = match &self.stage {
-            Stage::Learning { .. } => (None, None),
-            Stage::Watching { reference, watch: Watching::Raised { acknowledged, .. } } => {
-                (Some(*reference), acknowledged.clone())
-            }
-            Stage::Watching { reference, .. } => (Some(*reference), None),
-        };
-        let mut alert = Alert {
-            rule: self.rule_number,
-            parameter: self.subject.parameter,
-            state,
-            estimate,
-            since_ns: self.since_ns(),
-            rule_loss: self.rule.loss(),
-            rule_credibility: self.rule.credibility(),
-            probability_of_loss: reference
-                .map_or(0.0, |reference| probability_of_loss(&estimate, &reference, self.rule.loss())),
-            reference,
-            loss: reference.map(|reference| loss_estimate(&estimate, &reference)),
-            acknowledgement,
-            why: String::new(),
-        };
-        alert.why = describe(&self.subject, &self.rule, &alert);
-        Some(alert)
-    }
 }
 
+mod announcement;
 mod succession;
 
 pub use succession::Model;

@@ -51,6 +51,35 @@ pub enum AlertError {
         /// Parameters of the structure.
         expected: usize,
     },
+    /// One record does not show how records differ.
+    #[error("one record does not show the scatter between records; use more records, or state it with --between-std")]
+    OneRecord,
+    /// The scatter between records is too large to be known from so few of them.
+    #[error(
+        "mean is {mean:.4} and scatter between records {std:.4} with {degrees_of_freedom} degrees of freedom: a sound \
+         value of zero cannot be excluded; use more records, or state the scatter with --between-std"
+    )]
+    FewRecords {
+        /// Mean of the records, ratio to nominal.
+        mean: f64,
+        /// Scatter between them, ratio to nominal.
+        std: f64,
+        /// Records less one.
+        degrees_of_freedom: f64,
+    },
+    /// The records differ by more than the stated scatter between them allows.
+    #[error(
+        "records scatter by {found:.4}, a stated scatter of {stated:.4} between records allows {allowed:.4} at most \
+         (probability 0.999)"
+    )]
+    StatedScatter {
+        /// Scatter of the records, ratio to nominal.
+        found: f64,
+        /// Scatter stated.
+        stated: f64,
+        /// Largest scatter that the stated one and the uncertainty within records explain.
+        allowed: f64,
+    },
     /// A baseline needs at least one record.
     #[error("no records to learn a baseline from, must be at least 1")]
     NoRecords,

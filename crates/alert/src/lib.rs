@@ -4,14 +4,14 @@
 //!
 //! ```
 //! use spandrel_alert::{Decision, Input, ParameterEstimate, Rule, Subject};
-//! use spandrel_bus::AlertState;
+//! use spandrel_bus::{AlertState, EstimateFlags};
 //!
-//! let subject = Subject { parameter: 0, name: "storey-2".into(), quantity: "stiffness".into(), prior_std: 0.3 };
+//! let subject = Subject { parameter: 0, name: "storey-2".into(), quantity: "stiffness".into(), prior_std: 0.3, bounds: (0.1, 2.0) };
 //! let mut decision = Decision::new(0, Rule::new(0.05, 0.95, 0.5, 10.0)?, subject);
 //! let mut alerts = Vec::new();
 //! for second in 0..=10 {
 //!     let estimate = ParameterEstimate { time_ns: second * 1_000_000_000, mean: 0.86, std: 0.01 };
-//!     decision.handle(Input::Estimate(estimate), &mut alerts);
+//!     decision.handle(Input::Estimate(estimate, EstimateFlags::working()), &mut alerts);
 //! }
 //! assert_eq!(alerts[0].state, AlertState::Pending);
 //! assert_eq!(alerts[1].state, AlertState::Raised);
@@ -21,7 +21,8 @@
 //!
 //! - [`mod@reference`]: what a loss is counted from
 //! - [`rule`]: what the owner asks for: loss, credibility, sustain time
-//! - [`credibility`]: how sure a loss is
+//! - [`credibility`], `scatter`: how sure a loss is, also where the scatter between records was estimated from few
+//! - [`support`]: whether the data support a decision
 //! - [`learning`], [`baseline`]: the sound value, learnt from a span of time or from several records
 //! - [`alert`], `wording`: what is said
 //! - [`decision`]: the state machine of one parameter; no clock, no network
@@ -38,6 +39,8 @@ pub mod rule;
 pub mod credibility;
 pub mod learning;
 mod memory;
+mod scatter;
+pub mod support;
 
 pub mod baseline;
 
@@ -50,12 +53,13 @@ pub mod watch;
 pub mod shell;
 
 pub use alert::{Acknowledged, Alert};
-pub use baseline::{Baseline, RecordSummary};
-pub use credibility::{LossEstimate, ParameterEstimate, loss_estimate, probability_of_loss};
+pub use baseline::{Baseline, BetweenRecords, ParameterBaseline, RecordSummary};
+pub use credibility::{LossEstimate, ParameterEstimate, loss_estimate, loss_within_record, probability_of_loss};
 pub use decision::{Decision, Input, Model, Subject};
 pub use error::AlertError;
 pub use learning::{Learning, SpanSummary};
-pub use reference::Reference;
+pub use reference::{Reference, Scatter};
 pub use rule::{ReferenceRule, Rule};
 pub use shell::AlertService;
+pub use support::DecidedFrames;
 pub use watch::Watch;

@@ -44,7 +44,7 @@ pub(crate) struct AlertState {
 }
 
 /// Version of the layout of [`AlertState`]: raised with every change of a field in it or below.
-const VERSION: u16 = 2;
+const VERSION: u16 = 3;
 
 impl AlertState {
     /// The state of a service that has decided on nothing.
@@ -80,8 +80,7 @@ impl AlertState {
         let model = if former.basis.model == self.basis.model { Model::Same } else { Model::Changed };
         let mut changes = Vec::new();
         self.watch.succeed(&former.watch, names, model, &mut changes);
-        self.log.extend(changes.iter().cloned());
-        self.log.drain(..self.log.len().saturating_sub(CHANGES_KEPT));
+        changes.iter().for_each(|change| note(&mut self.log, change));
         self.unsent.extend(changes);
         self
     }
@@ -96,7 +95,17 @@ impl AlertState {
 }
 
 /// Changes that are kept for those who were not there.
-pub(crate) const CHANGES_KEPT: usize = 256;
+const CHANGES_KEPT: usize = 256;
+
+/// Adds a change to those that are kept; a revision replaces what it revises, so that it makes no other change be forgotten.
+pub(crate) fn note(log: &mut VecDeque<Alert>, alert: &Alert) {
+    let of_rule = |kept: &&mut Alert| (kept.rule, kept.parameter) == (alert.rule, alert.parameter);
+    match log.iter_mut().rev().find(of_rule) {
+        Some(last) if alert.revision > 0 && alert.says_the_same(last) => last.clone_from(alert),
+        Some(_) | None => log.push_back(alert.clone()),
+    }
+    log.drain(..log.len().saturating_sub(CHANGES_KEPT));
+}
 
 /// The checkpoints of the decisions on one structure.
 #[derive(Debug)]

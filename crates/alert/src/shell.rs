@@ -11,9 +11,9 @@ use spandrel_bus::{
 };
 use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
-use tracing::{info, warn};
+use tracing::{debug, info, warn};
 
-use crate::memory::{AlertState as Remembered, Basis, CHANGES_KEPT, Memory};
+use crate::memory::{AlertState as Remembered, Basis, Memory, note};
 use crate::{Acknowledged, Alert, AlertError, Baseline, Watch};
 
 /// How often the status is put.
@@ -198,8 +198,7 @@ impl AlertService {
 
     /// Keeps what has been decided; returns the alerts that follow from the last block, which may be put from then on.
     fn keep(&mut self, alerts: Vec<Alert>) -> Vec<Alert> {
-        self.log.extend(alerts.iter().cloned());
-        self.log.drain(..self.log.len().saturating_sub(CHANGES_KEPT));
+        alerts.iter().for_each(|alert| note(&mut self.log, alert));
         let Some(memory) = &mut self.memory else {
             return alerts;
         };
@@ -337,6 +336,8 @@ impl AlertService {
             pace: None,
             load: None,
             frames_behind: None,
+            fit: None,
+            undecided: self.watch.undecided(),
             state: None,
             done: self.done,
             drops,
@@ -378,6 +379,8 @@ fn name(text: &str) -> Result<Name, AlertError> {
 fn log(structure: &Name, parameter: &Name, alert: &Alert) {
     let (structure, parameter, why) = (structure.as_str(), parameter.as_str(), alert.why.as_str());
     match alert.state {
+        // the loss of an alert that stands is on the page
+        state if alert.revision > 0 => debug!(structure, parameter, state = state.as_str(), why, "alert revised"),
         AlertState::Raised => warn!(structure, parameter, why, "alert raised"),
         state => info!(structure, parameter, state = state.as_str(), why, "alert changed"),
     }

@@ -1,11 +1,13 @@
 //! Watches all parameters of one structure: blocks of estimates in, alerts out.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{AlertState, Estimate, EstimateBlock, Phase};
+use spandrel_bus::{AlertState, Estimate, EstimateBlock, UndecidedBecause};
 use spandrel_structure::{AlertRule, Parameter, Structure};
 
 use crate::{
-    Alert, AlertError, Baseline, Decision, Input, Model, ParameterEstimate, Reference, Rule, Subject,
+    Alert, AlertError, Baseline, DecidedFrames, Decision, Input, Model, ParameterEstimate, Reference, Rule, Subject,
     alert::Acknowledged, wording::End,
 };
 
@@ -132,6 +134,33 @@ impl Watch {
         of_parameter().next().filter(|_| !is_announced)?.unannounced()
     }
 
+    /// How many frames of a parameter were decided on since its reference was known, by all of its rules together.
+    pub fn decided_frames(&self, parameter: usize) -> DecidedFrames {
+        let of_parameter = self.decisions.iter().filter(|decision| decision.subject().parameter == parameter);
+        of_parameter.fold(DecidedFrames::default(), |sum, decision| sum.plus(decision.decided_frames()))
+    }
+
+    /// Share of the frames of a parameter that were decided on since its reference was known, 0 to 1; `None` before that, and
+    /// without a rule.
+    pub fn decided_share(&self, parameter: usize) -> Option<f64> {
+        self.decided_frames(parameter).share()
+    }
+
+    /// The frames of each watched parameter, by its number: how many there were, and how many were decided on.
+    pub fn decided_shares(&self) -> BTreeMap<usize, DecidedFrames> {
+        let watched = self.decisions.iter().map(|decision| decision.subject().parameter);
+        watched.map(|parameter| (parameter, self.decided_frames(parameter))).collect()
+    }
+
+    /// Number of rules and parameters on which nothing is decided now, by reason.
+    pub fn undecided(&self) -> BTreeMap<UndecidedBecause, u64> {
+        let mut counts = BTreeMap::new();
+        for because in self.decisions.iter().filter_map(Decision::undecided_because) {
+            *counts.entry(because).or_default() += 1;
+        }
+        counts
+    }
+
     /// Number of parameters of the structure.
     pub fn parameter_count(&self) -> usize {
         self.parameter_count
@@ -151,16 +180,14 @@ impl Watch {
         if estimate.flags.restarted {
             self.handle_all(&Input::Restart, alerts);
         }
-        if estimate.flags.phase == Phase::Training {
-            return; // not yet to be trusted
-        }
         for decision in &mut self.decisions {
             let index = decision.subject().parameter;
             let (Some(mean), Some(variance)) = (estimate.mean.get(index), estimate.variance(index)) else {
                 continue; // the block was checked: each parameter is there
             };
             let std = variance.max(0.0).sqrt();
-            decision.handle(Input::Estimate(ParameterEstimate { time_ns, mean: *mean, std }), alerts);
+            let of_parameter = ParameterEstimate { time_ns, mean: *mean, std };
+            decision.handle(Input::Estimate(of_parameter, estimate.flags), alerts);
         }
     }
 
@@ -177,9 +204,11 @@ fn severity(state: AlertState) -> u8 {
         AlertState::Normal => 0,
         AlertState::Learning => 1,
         AlertState::Cleared => 2,
-        AlertState::Pending => 3,
-        AlertState::Acknowledged => 4,
-        AlertState::Raised => 5,
+        AlertState::Undecided => 3,
+        AlertState::Pending => 4,
+        AlertState::Acknowledged => 5,
+        AlertState::Unconfirmed => 6,
+        AlertState::Raised => 7,
     }
 }
 
@@ -199,7 +228,6 @@ fn decision_from_structure(
     let own = Rule::new(rule.loss, rule.credibility, rule.clear_credibility, rule.sustain_s)?;
     let from_baseline = baseline.and_then(|baseline| baseline.reference(parameter.name()));
     let own = match (&rule.reference, from_baseline) {
-        (Asked::Design, _) => own.with_reference(Reference::DESIGN),
         (Asked::Baseline { .. }, Some(reference)) => own.with_reference(reference),
         (Asked::Baseline { learn_s }, None) => own.with_learnt_reference(*learn_s)?,
         (Asked::Given { mean, std }, _) => {
@@ -213,6 +241,7 @@ fn decision_from_structure(
         name: parameter.name().to_owned(),
         quantity: quantity.to_owned(),
         prior_std: parameter.std(),
+        bounds: parameter.bounds(),
     };
     Ok(Decision::new(number, own, subject))
 }

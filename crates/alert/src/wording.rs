@@ -1,17 +1,23 @@
 //! Says in words what an alert is about: what, how much, how sure, since when.
 
 use jiff::Timestamp;
-use spandrel_bus::{AlertState, RoundedProbability};
+use spandrel_bus::{AlertState, FitVerdict, RoundedProbability, UndecidedBecause, fit_in_words};
 
-use crate::{Alert, LossEstimate, ReferenceRule, Rule, Subject};
+use crate::{Alert, LossEstimate, ParameterEstimate, ReferenceRule, Rule, Subject};
 
-/// The decision in words; `alert.why` is not read.
-pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert) -> String {
+/// The decision in words; `alert.why` is not read. `before`: what was said last.
+pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert, before: Option<&Alert>) -> String {
     let Subject { name, quantity, .. } = subject;
+    if let (AlertState::Undecided, Some(because)) = (alert.state, alert.undecided_because) {
+        return format!("no alert of {name} is decided: {}", undecided(because, alert));
+    }
     let (Some(loss), Some(reference)) = (&alert.loss, &alert.reference) else {
         return format!("reference of {name} is being learnt");
     };
-    let how_much = format!("{} of its {quantity} ({})", percent(loss.loss), interval(loss));
+    let how_much = match alert.follows_jump && alert.undecided_because.is_none() {
+        true => followed(quantity, loss, alert, before),
+        false => format!("{} of its {quantity} ({})", percent(loss.loss), interval(loss)),
+    };
     let found = alert.probability_of_loss;
     let told = RoundedProbability::new(found, &[rule.credibility(), rule.clear_credibility()]);
     let how_sure = format!("more than {} with probability {told}", percent(alert.rule_loss));
@@ -22,20 +28,44 @@ pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert) -> String 
         how_sure.clone()
     };
     let since = alert.since_ns.map(|time_ns| format!(", since {}", time(time_ns))).unwrap_or_default();
+    let ends = match found < rule.clear_credibility() {
+        true => format!("; is cleared after {}", duration(rule.sustain_ns())),
+        false => String::new(),
+    };
     match alert.state {
-        AlertState::Learning | AlertState::Normal => format!(
+        AlertState::Learning | AlertState::Normal | AlertState::Undecided => format!(
             "{name} is normal against {:.3} ± {:.3}: loss {how_much}, {of_rule}",
             reference.mean(),
             reference.std()
         ),
         AlertState::Pending => format!(
-            "{name} seems to have lost {how_much}, {of_rule}{since}; is raised after {}",
-            duration(rule.sustain_ns())
+            "{name} seems to have lost {how_much}, {of_rule}{since}; is raised after {}{}",
+            duration(rule.sustain_ns()),
+            if alert.follows_jump { "; a sudden change is still being followed" } else { "" }
         ),
-        AlertState::Raised => format!("{name} has lost {how_much}, {of_rule}{since}"),
-        AlertState::Acknowledged => {
-            format!("{name} has lost {how_much}, {of_rule}{since}; {}", acknowledged(alert))
+        AlertState::Unconfirmed => {
+            let seen =
+                if alert.acknowledgement.is_some() { format!("; {}", acknowledged(alert)) } else { String::new() };
+            match alert.undecided_because {
+                Some(because) => format!(
+                    "{name} had lost {how_much}, {of_rule}{since}; not confirmed now: {}{seen}",
+                    undecided(because, alert)
+                ),
+                None => format!(
+                    "{name} had an alert{since} that the data do not confirm: loss now {how_much}, {of_rule}{seen}; is \
+                     cleared after {}",
+                    duration(rule.sustain_ns())
+                ),
+            }
         }
+        AlertState::Raised => format!("{name} has lost {how_much}, {of_rule}{since}{ends}"),
+        AlertState::Acknowledged => {
+            format!("{name} has lost {how_much}, {of_rule}{since}{ends}; {}", acknowledged(alert))
+        }
+        AlertState::Cleared if alert.undecided_because.is_some() => format!(
+            "the alert of {name} was cleared; no new one is decided: {}",
+            alert.undecided_because.map(|because| undecided(because, alert)).unwrap_or_default()
+        ),
         AlertState::Cleared if found >= rule.clear_credibility() => format!(
             "that {name} has lost more than {} was credible again, but not for {}: loss {how_much}, {of_rule}",
             percent(alert.rule_loss),
@@ -48,6 +78,27 @@ pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert) -> String 
             duration(rule.sustain_ns())
         ),
     }
+}
+
+/// Why nothing is decided, with the reasons of a fit that is contradicted.
+fn undecided(because: UndecidedBecause, alert: &Alert) -> String {
+    match because {
+        UndecidedBecause::FitContradicted => fit_in_words(FitVerdict::Contradicted, alert.fit_reasons),
+        UndecidedBecause::NoiseTraining
+        | UndecidedBecause::ExcitationSilent
+        | UndecidedBecause::ParameterAtBound
+        | UndecidedBecause::NothingLearnt => {
+            let ParameterEstimate { mean, std, .. } = alert.estimate;
+            format!("{} (estimate {mean:.3} ± {std:.3})", because.words())
+        }
+    }
+}
+
+/// A loss that is still moving: what is gone at least.
+fn followed(quantity: &str, loss: &LossEstimate, alert: &Alert, before: Option<&Alert>) -> String {
+    let has_risen = before.is_some_and(|before| before.follows_jump && before.estimate.mean < alert.estimate.mean);
+    let moves = if has_risen { "moving" } else { "falling" };
+    format!("at least {} of its {quantity}, still {moves} ({})", percent(loss.low.max(0.0)), interval(loss))
 }
 
 /// Why an alert is over although nothing new has been measured.

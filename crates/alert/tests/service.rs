@@ -6,8 +6,9 @@ use std::time::Duration;
 
 use spandrel_alert::AlertService;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, Estimate, EstimateBlock, EstimateFlags, Header,
-    HistoryLog, Keep, Keys, Name, NumberedPublisher, NumberedStream, Phase, Service, StreamState, Subscription,
+    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, Estimate, EstimateBlock, EstimateFlags, FitReason,
+    FitVerdict, Header, HistoryLog, Keep, Keys, Name, NumberedPublisher, NumberedStream, Service, Status, StreamState,
+    Subscription, UndecidedBecause,
 };
 use spandrel_checkpoint::Remembering;
 use spandrel_structure::Structure;
@@ -29,7 +30,7 @@ fn estimate(mean: f64) -> Estimate {
         normalised_innovation_squared: 0.0,
         log_evidence: 0.0,
         used_channels: 1,
-        flags: EstimateFlags { phase: Phase::Working, restarted: false, prediction_only: false },
+        flags: EstimateFlags::working(),
     }
 }
 
@@ -207,4 +208,44 @@ async fn token_is_there_while_the_service_runs() {
     timeout(DEADLINE, running.service).await.unwrap().unwrap();
     timeout(DEADLINE, live.none()).await.unwrap();
     bus.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn alert_is_unconfirmed_while_the_data_contradict_the_model_and_the_status_counts_it() {
+    let (bus, keys, estimates) = open("alert-test-undecided").await;
+    let alerts = bus.subscribe(keys.all_alerts(), 100).await.unwrap();
+    let statuses = bus.subscribe::<Status>(keys.all_statuses(), 100).await.unwrap();
+    let running = Running::start(&bus, &keys).await;
+    let contradicted = |sequence| {
+        let mut block = block(sequence, 300, 0.5);
+        for estimate in &mut block.estimates {
+            estimate.flags.fit = Some(FitVerdict::Contradicted);
+            estimate.flags.fit_reasons = [FitReason::ExcessNoise].into_iter().collect();
+        }
+        block
+    };
+    estimates.put(contradicted(0)).await.unwrap();
+    let undecided = next(&alerts).await;
+    let because = Some(UndecidedBecause::FitContradicted);
+    assert_eq!((undecided.state, undecided.time_ns), (AlertState::Undecided, 1_000_000_000));
+    assert_eq!((undecided.undecided_because, undecided.fit), (because, Some(FitVerdict::Contradicted)));
+    let counted = async {
+        loop {
+            let (_, status) = statuses.messages().recv_async().await.unwrap();
+            if !status.undecided.is_empty() {
+                return status.undecided;
+            }
+        }
+    };
+    let counted = timeout(DEADLINE, counted).await.unwrap();
+    assert_eq!(counted, [(UndecidedBecause::FitContradicted, 1)].into());
+
+    estimates.put(block(300, 300, 0.86)).await.unwrap();
+    assert_eq!(next(&alerts).await.state, AlertState::Pending);
+    assert_eq!(next(&alerts).await.state, AlertState::Raised);
+    estimates.put(contradicted(600)).await.unwrap();
+    let unconfirmed = next(&alerts).await;
+    assert_eq!((unconfirmed.state, unconfirmed.undecided_because), (AlertState::Unconfirmed, because));
+    assert!((unconfirmed.mean - 0.86).abs() < 1e-12, "the estimate of a contradicted model is not told");
+    running.end(bus).await;
 }

@@ -116,6 +116,12 @@ impl Keys {
         self.below("model-class")
     }
 
+    /// The verdict on the fit.
+    #[must_use]
+    pub fn fit(&self) -> String {
+        self.below("fit")
+    }
+
     /// Compressed local estimate of one node.
     #[must_use]
     pub fn local(&self, node: &Name) -> String {
@@ -348,6 +354,8 @@ pub enum KeyFamily {
     Noise,
     /// [`Keys::model_class`]
     ModelClass,
+    /// [`Keys::fit`]
+    Fit,
     /// [`Keys::local`], of a node
     Local,
     /// [`Keys::feedback`], of a node
@@ -404,6 +412,7 @@ impl KeyFamily {
             Self::Parameter => format!("parameter/{of}"),
             Self::Noise => format!("noise/{of}"),
             Self::ModelClass => "model-class".to_owned(),
+            Self::Fit => "fit".to_owned(),
             Self::Local => format!("local/{of}"),
             Self::Feedback => format!("feedback/{of}"),
             Self::Node => format!("node/{of}"),
@@ -441,7 +450,17 @@ impl KeyFamily {
     pub fn all() -> Vec<Self> {
         use KeyFamily as K;
         let mut all = vec![K::Samples, K::Buffer, K::Frames, K::Recording, K::Estimates, K::EstimatesBuffer];
-        all.extend([K::Parameter, K::Noise, K::ModelClass, K::Local, K::Feedback, K::Node, K::Outlier, K::Event]);
+        all.extend([
+            K::Parameter,
+            K::Noise,
+            K::ModelClass,
+            K::Fit,
+            K::Local,
+            K::Feedback,
+            K::Node,
+            K::Outlier,
+            K::Event,
+        ]);
         all.extend([K::Alert, K::Acknowledge]);
         for of_service in [K::Progress, K::Status, K::Live] {
             all.extend(Service::ALL.map(of_service));
@@ -466,6 +485,8 @@ pub enum Topic {
     Noise(Name),
     /// [`Keys::model_class`]
     ModelClass,
+    /// [`Keys::fit`]
+    Fit,
     /// [`Keys::local`]
     Local(Name),
     /// [`Keys::feedback`]
@@ -514,6 +535,7 @@ pub fn parse_key(root: &Name, key: &str) -> Option<(Name, Topic)> {
         ["parameter", parameter] => Topic::Parameter(name(parameter)?),
         ["noise", noise] => Topic::Noise(name(noise)?),
         ["model-class"] => Topic::ModelClass,
+        ["fit"] => Topic::Fit,
         ["local", node] => Topic::Local(name(node)?),
         ["feedback", node] => Topic::Feedback(name(node)?),
         ["node", node] => Topic::Node(name(node)?),
@@ -579,6 +601,7 @@ mod tests {
             keys.parameter(&n),
             keys.noise(&n),
             keys.model_class(),
+            keys.fit(),
             keys.local(&n),
             keys.feedback(&n),
             keys.node(&n),
@@ -619,6 +642,7 @@ mod tests {
             (keys.parameter(&n), Topic::Parameter(n.clone())),
             (keys.noise(&n), Topic::Noise(n.clone())),
             (keys.model_class(), Topic::ModelClass),
+            (keys.fit(), Topic::Fit),
             (keys.local(&n), Topic::Local(n.clone())),
             (keys.feedback(&n), Topic::Feedback(n.clone())),
             (keys.node(&n), Topic::Node(n.clone())),

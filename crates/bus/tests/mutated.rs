@@ -6,9 +6,9 @@
 use proptest::prelude::*;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, Description, Estimate, EstimateBlock, EstimateFlags,
-    Event, FeedbackMessage, FrameBlock, Header, HistoryLog, HistorySpan, LocalDensity, LocalMessage, MAX_MESSAGE_BYTES,
-    MaskedSpan, Message, ModelClassDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay,
-    Pace, ParameterDisplay, Phase, Progress, SampleBlock, ScreenedChannel, StateMessage, Status, StreamState,
+    Event, FeedbackMessage, FitDisplay, FrameBlock, Header, HistoryLog, HistorySpan, LocalDensity, LocalMessage,
+    MAX_MESSAGE_BYTES, MaskedSpan, Message, ModelClassDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay,
+    OutlierDisplay, Pace, ParameterDisplay, Progress, SampleBlock, ScreenedChannel, StateMessage, Status, StreamState,
     ToldMotion, ToldSamples,
 };
 
@@ -54,7 +54,7 @@ fn estimate() -> Estimate {
         normalised_innovation_squared: 1.2,
         log_evidence: -3.0,
         used_channels: 2,
-        flags: EstimateFlags { phase: Phase::Working, restarted: false, prediction_only: false },
+        flags: EstimateFlags::working(),
     }
 }
 
@@ -185,6 +185,11 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
             "{{\"structure\":\"demo\",\"alerts\":[{alert}],\"acknowledgements\":[{seen}],\"events\":[{event}]}}"
         )),
         binary(&StateMessage { header: header(), term: 3, checkpoint: (0..200).collect() }, decode::<StateMessage>),
+        text::<FitDisplay>(
+            "{\"structure\":\"demo\",\"time_ns\":5,\"verdict\":\"doubtful\",\"reasons\":[\"excess-noise\"],\"follows_jump\":false,\
+             \"channels\":[{\"channel\":\"roof\",\"largest_autocorrelation\":0.35,\"explained_share\":0.8,\
+             \"excitation_correlation\":-0.1,\"noise_ratio\":1.2}]}",
+        ),
     ]
 }
 
@@ -284,7 +289,7 @@ fn check(name: &str, bytes: &[u8], decode: Decode) {
 #[test]
 fn every_type_is_among_them_and_decodes() {
     let messages = messages();
-    assert_eq!(messages.len(), 20);
+    assert_eq!(messages.len(), 21);
     for (name, bytes, decode) in messages {
         check(name, &bytes, decode);
     }
@@ -311,7 +316,7 @@ proptest! {
 
     #[test]
     fn damaged_messages_give_an_error_or_a_sound_message(
-        which in 0usize..20,
+        which in 0usize..21,
         damages in proptest::collection::vec(damage(), 1..5),
     ) {
         let (name, mut bytes, decode) = messages().swap_remove(which);

@@ -1,7 +1,7 @@
 // Alerts of all structures: what stands, what was, and who has seen it.
 
 import { h, keyed, setText } from "./dom.js";
-import { STATES, place, time } from "./words.js";
+import { STATES, canBeSeen, levelOf, place, time } from "./words.js";
 
 /** What was once typed as a name is offered the next time. */
 const NAME_KEY = "spandrel-name";
@@ -14,7 +14,7 @@ export class AlertsPage {
   constructor(connection, parameters) {
     this.dialog = new AcknowledgeDialog(() => this.#ask());
     this.structure = h("select", { id: "filter-structure", onchange: () => this.#show() }, h("option", { value: "" }, "all structures"));
-    this.state = h("select", { id: "filter-state", onchange: () => this.#show() }, h("option", { value: "" }, "all states"), ["raised", "pending", "acknowledged", "cleared", "normal", "learning"].map((state) => h("option", { value: state }, state)));
+    this.state = h("select", { id: "filter-state", onchange: () => this.#show() }, h("option", { value: "" }, "all states"), ["raised", "unconfirmed", "pending", "acknowledged", "cleared", "undecided", "normal", "learning"].map((state) => h("option", { value: state }, state)));
     this.text = h("input", { id: "filter-text", type: "search", placeholder: "part or words", oninput: () => this.#show() });
     const field = (input, text) => h("label", { for: input.id }, text, " ", input);
     this.standing = h("ul", { class: "alerts" });
@@ -63,7 +63,7 @@ export class AlertsPage {
 
   #show() {
     if (!this.answer) return;
-    const order = ["raised", "pending", "acknowledged", "cleared", "learning", "normal"];
+    const order = ["raised", "unconfirmed", "pending", "acknowledged", "cleared", "undecided", "learning", "normal"];
     const isAsked = (alert) =>
       (!this.structure.value || alert.structure === this.structure.value) &&
       (!this.state.value || alert.state === this.state.value) &&
@@ -71,7 +71,7 @@ export class AlertsPage {
     const standing = this.answer.standing.filter(isAsked).sort((a, b) => order.indexOf(a.state) - order.indexOf(b.state) || b.time_ns - a.time_ns);
     const changes = this.answer.changes.filter(isAsked).slice(0, 200);
     keyed(this.standing, standing, (alert) => `${alert.structure}/${alert.parameter}`, () => this.#make(true), updateAlert);
-    keyed(this.changes, changes, (alert) => `${alert.structure}/${alert.parameter}/${alert.time_ns}/${alert.state}`, () => this.#make(false), updateAlert);
+    keyed(this.changes, changes, (alert) => `${alert.structure}/${alert.parameter}/${alert.revision > 0 ? `${alert.since_ns} revised` : alert.time_ns}/${alert.state}`, () => this.#make(false), updateAlert);
     this.none.hidden = standing.length > 0;
     const isFiltered = this.structure.value || this.state.value || this.text.value;
     setText(this.none, isFiltered ? "No alert is like this." : "No rule has decided on anything yet.");
@@ -90,7 +90,7 @@ export class AlertsPage {
 function updateAlert(parts, alert) {
   const state = STATES[alert.state];
   parts.alert = alert;
-  parts.element.dataset.level = state.level;
+  parts.element.dataset.level = levelOf(alert);
   parts.element.dataset.state = alert.state;
   setText(parts.badge, `${state.sign} ${state.word}${alert.stale ? " (stale: the alert service is gone)" : ""}`);
   setText(parts.who, `${alert.structure} / ${alert.parameter}`);
@@ -101,8 +101,8 @@ function updateAlert(parts, alert) {
   setText(parts.seen, alert.acknowledged_by ? `Seen by ${alert.acknowledged_by}${alert.note ? `: ${alert.note}` : ""}` : "");
   parts.seen.hidden = !alert.acknowledged_by;
   parts.link.href = place(alert.structure, alert.parameter, (alert.since_ns ?? alert.time_ns) / 1e9);
-  parts.link.parentElement.hidden = ["normal", "learning"].includes(alert.state);
-  if (parts.button) parts.button.hidden = !["raised", "cleared"].includes(alert.state);
+  parts.link.parentElement.hidden = ["normal", "learning", "undecided"].includes(alert.state);
+  if (parts.button) parts.button.hidden = !canBeSeen(alert);
 }
 
 /** Asks who has seen an alert, sends it, and waits until the alert service says so. */
@@ -150,7 +150,7 @@ export class AcknowledgeDialog {
   update(alerts) {
     if (!this.waiting) return;
     const own = alerts.find(({ structure, parameter }) => structure === this.alert.structure && parameter === this.alert.parameter);
-    if (own && own.state !== this.alert.state) {
+    if (own && (own.state !== this.alert.state || own.acknowledged_by !== this.alert.acknowledged_by)) {
       this.waiting = false;
       clearTimeout(this.timer);
       this.element.close();

@@ -1,7 +1,7 @@
 // All structures, what needs attention first.
 
 import { h, keyed, setText } from "./dom.js";
-import { LEVELS, STATES, duration, lag, percent, place, probability, ratio, time } from "./words.js";
+import { LEVELS, STATES, duration, fitWord, lag, percent, place, probability, ratio, time } from "./words.js";
 
 export class OverviewPage {
   constructor(connection) {
@@ -65,6 +65,7 @@ function makeCard(structure) {
       fact("worst", "Worst part"),
       fact("probability", "Probability of loss"),
       fact("sensors", "Sensors alive"),
+      fact("fit", "Fit"),
       fact("lag", "Lag"),
       fact("age", "Data"),
       fact("alert", "Last alert"),
@@ -87,6 +88,7 @@ function updateCard({ element, fields, sign, word, sentence, now, stale }, struc
   setText(fields.probability, worst ? probability(worst.probability_of_loss, worst.credibility) + asked : "–");
   const troubled = sensors.troubled.length > 0 ? ` – not: ${sensors.troubled.join(", ")}` : "";
   setText(fields.sensors, `${sensors.alive} of ${sensors.total}${troubled}`);
+  setText(fields.fit, fitWord(structure.fit));
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
   // of a record the time says more than the age
   setText(fields.age, structure.replayed ? `${age(structure)}, measured ${time(structure.time_s)}` : age(structure));
@@ -102,7 +104,7 @@ export function showNow(line, now, age_s) {
 
 /** Says beside any other level that nothing new comes. */
 export function showStale(badge, { age_s, level }) {
-  badge.hidden = level === "stale" || level === "learning" || (age_s !== null && age_s < 3);
+  badge.hidden = level === "stale" || level === "learning" || level === "undecided" || (age_s !== null && age_s < 3);
   if (!badge.hidden) setText(badge, `${LEVELS.stale.sign} ${age_s === null ? "no data yet" : `no new data for ${duration(age_s)}`}`);
 }
 

@@ -11,7 +11,7 @@ const HALF_WIDTHS = [
 ];
 
 /** Where marks are dense the words of these are written first. */
-const WORDS_FIRST = ["raised", "acknowledged", "cleared", "pending", "learning", "normal"];
+const WORDS_FIRST = ["raised", "unconfirmed", "acknowledged", "cleared", "pending", "undecided", "learning", "normal"];
 
 const line = (index, more) => ({ stroke: () => css(look(index).colour), width: 2, dash: look(index).dash, ...more });
 const edge = { stroke: "transparent", width: 0 };

@@ -7,7 +7,7 @@ import { NodeTable } from "./nodes.js";
 import { age, showNow, showStale } from "./overview.js";
 import { classPlot, consistencyPlot, innovationPlot, nodePlot, noisePlot, outlierPlot, parameterPlot } from "./plots.js";
 import { LENGTHS, Points, Span } from "./span.js";
-import { HEALTH, LEVELS, STATES, duration, lag, number, percent, place, probability, ratio, sensorName, step, time } from "./words.js";
+import { FITS, HEALTH, LEVELS, STATES, canBeSeen, duration, fitWord, lag, levelOf, number, percent, place, probability, ratio, sensorName, step, time } from "./words.js";
 
 /** How often plots are drawn (ms), however often points come. */
 const DRAW_EVERY_MS = 250;
@@ -99,6 +99,7 @@ export class StructurePage {
     this.sensorList = h("ul", { class: "sensor-list" });
     this.sensorNames = new Map(about.drawing.sensors.map((sensor) => [sensor.channel, `${sensorName(sensor)} of node ${sensor.node}`]));
     this.services = h("tbody");
+    this.fit = h("p", { class: "fit", hidden: true });
     this.groups = {};
     const group = (key, title, text) => {
       const holder = h("div", { class: "plots" });
@@ -116,7 +117,7 @@ export class StructurePage {
       group("outliers", "Outliers"),
       group("innovations", "Innovations", "What was observed less what was predicted, its least and largest value in each interval."),
       group("noise", "Noise levels"),
-      h("section", { class: "card", id: "sensors" }, h("h2", {}, "Sensors"), this.sensorList),
+      h("section", { class: "card", id: "sensors" }, h("h2", {}, "Sensors"), this.sensorList, this.fit),
       h("section", { class: "card" }, h("h2", {}, "Events"), this.noEvents, this.events),
       h("section", { class: "card" }, h("h2", {}, "Services"), h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, ["Service", "State", "Lag", "Done", "Dropped or mended"].map((text) => h("th", { scope: "col" }, text)))), this.services))),
       this.dialog.element,
@@ -162,14 +163,14 @@ export class StructurePage {
     const level = LEVELS[overview.level];
     this.head.dataset.level = overview.level;
     const { sensors } = overview;
-    const raised = (this.#standing?.alerts ?? []).filter((alert) => ["raised", "cleared"].includes(alert.state));
+    const raised = (this.#standing?.alerts ?? []).filter(canBeSeen);
     this.parts ??= { badge: h("span", { class: "badge" }), stale: h("span", { class: "badge", "data-level": "stale" }), sentence: h("p", { class: "sentence" }), now: h("p", { class: "now" }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }) };
     if (this.head.childElementCount === 0) this.head.append(this.parts.badge, " ", this.parts.stale, this.parts.sentence, this.parts.now, this.parts.actions, this.parts.facts);
     setText(this.parts.badge, `${level.sign} ${level.word}`);
     setText(this.parts.sentence, overview.sentence);
     showNow(this.parts.now, overview.now, overview.age_s);
     showStale(this.parts.stale, overview);
-    setText(this.parts.facts, `Data: ${age(overview)}${overview.time_s ? `, measured ${time(overview.time_s)}` : ""} · ${overview.replayed ? lag(null, true) : `lag ${lag(overview.lag_s)}`} · sensors alive ${sensors.alive} of ${sensors.total}`);
+    setText(this.parts.facts, `Data: ${age(overview)}${overview.time_s ? `, measured ${time(overview.time_s)}` : ""} · ${overview.replayed ? lag(null, true) : `lag ${lag(overview.lag_s)}`} · sensors alive ${sensors.alive} of ${sensors.total} · fit: ${fitWord(overview.fit)}`);
     keyed(
       this.parts.actions,
       raised,
@@ -204,7 +205,7 @@ export class StructurePage {
       const shown = standing.parameters[parameter.name];
       const alert = standing.alerts.find((alert) => alert.parameter === parameter.name);
       const state = alert ? STATES[alert.state] : null;
-      part.element.dataset.level = state?.level ?? "learning";
+      part.element.dataset.level = alert ? levelOf(alert) : "learning";
       setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? " (stale)" : ""}` : "– no rule or not yet");
       setText(part.mean, shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "–");
       setText(part.interval, shown ? `${ratio(shown.interval.low)} to ${ratio(shown.interval.high)}` : "–");
@@ -222,7 +223,12 @@ export class StructurePage {
     keyed(this.table, this.about.parameters, (parameter) => parameter.name, make, update);
   }
 
-  #showLists({ events, services, sensors, outliers, nodes }) {
+  #showLists({ events, services, sensors, outliers, nodes, fit }) {
+    this.fit.hidden = !fit;
+    if (fit) {
+      this.fit.dataset.level = FITS[fit.verdict].level;
+      setText(this.fit, `${FITS[fit.verdict].sign} Fit ${fit.verdict}: ${fit.words}.`);
+    }
     const text = (element) => ({ element });
     keyed(this.events, events, (event) => `${event.time_ns}/${event.subject}/${event.what}`, (event) => text(h("li", {}, h("time", {}, time(event.time_ns / 1e9)), ` ${event.subject}: ${event.what} – ${event.why}`)), () => {});
     this.noEvents.hidden = events.length > 0;

@@ -6,6 +6,7 @@ export const LEVELS = {
   stale: { sign: "✕", word: "No data" },
   warning: { sign: "◆", word: "Warning" },
   notice: { sign: "●", word: "Seen" },
+  undecided: { sign: "?", word: "Undecided" },
   learning: { sign: "…", word: "Learning" },
   normal: { sign: "✓", word: "Normal" },
 };
@@ -13,11 +14,20 @@ export const LEVELS = {
 /** The same for the states of an alert. */
 export const STATES = {
   raised: { sign: "▲", word: "raised", level: "alarm" },
+  unconfirmed: { sign: "△", word: "unconfirmed", level: "alarm" },
   pending: { sign: "◆", word: "pending", level: "warning" },
   acknowledged: { sign: "●", word: "acknowledged", level: "notice" },
   cleared: { sign: "○", word: "cleared", level: "notice" },
+  undecided: { sign: "?", word: "undecided", level: "learning" },
   learning: { sign: "…", word: "learning", level: "learning" },
   normal: { sign: "✓", word: "normal", level: "normal" },
+};
+
+/** And for verdicts on the fit. */
+export const FITS = {
+  supported: { sign: "✓", level: "normal" },
+  doubtful: { sign: "◆", level: "learning" },
+  contradicted: { sign: "✕", level: "warning" },
 };
 
 /** And for sensors. */
@@ -38,6 +48,21 @@ export const NODES = {
   excluded: { sign: "◆", word: "excluded: disagrees with the others", level: "warning" },
   ended: { sign: "■", word: "ended", level: "learning" },
 };
+
+/** The level of an alert: one that stands and that somebody has seen is no alarm. */
+export function levelOf(alert) {
+  return alert.state === "unconfirmed" && alert.acknowledged_by ? "notice" : STATES[alert.state].level;
+}
+
+/** Whether somebody can acknowledge an alert. */
+export function canBeSeen(alert) {
+  return ["raised", "cleared"].includes(alert.state) || (alert.state === "unconfirmed" && !alert.acknowledged_by);
+}
+
+/** The verdict on the fit in one word. */
+export function fitWord(verdict) {
+  return verdict ? `${FITS[verdict].sign} ${verdict}` : "not judged";
+}
 
 /** Steps of the probability of loss: the drawing and its key use the same. */
 export const STEPS = [

@@ -298,13 +298,23 @@ fn check_acknowledgeable(store: &Store, parameter: &str) -> Result<AlertState, M
         let allowed = format!("must be one of: {}", names.join(", "));
         return Err(Mistake::new(StatusCode::NOT_FOUND, format!("parameter `{parameter}` is not known"), allowed));
     }
-    let state = store.alerts.get(parameter).map(|alert| alert.state);
+    let alert = store.alerts.get(parameter);
+    let state = alert.map(|alert| alert.state);
+    let is_seen = alert.is_some_and(|alert| alert.stands() && !alert.is_unseen());
     match state {
-        Some(state @ (AlertState::Raised | AlertState::Cleared | AlertState::Pending)) => Ok(state),
-        Some(AlertState::Learning | AlertState::Normal | AlertState::Acknowledged) | None => {
+        Some(state @ (AlertState::Raised | AlertState::Unconfirmed | AlertState::Cleared | AlertState::Pending))
+            if !is_seen =>
+        {
+            Ok(state)
+        }
+        _ => {
             let state = state.map_or("not known", AlertState::as_str);
             let what = format!("the alert of {parameter} is {state}");
-            Err(Mistake::new(StatusCode::CONFLICT, what, "must be raised, pending or cleared"))
+            Err(Mistake::new(
+                StatusCode::CONFLICT,
+                what,
+                "must be raised, unconfirmed, pending or cleared, and not acknowledged",
+            ))
         }
     }
 }

@@ -51,8 +51,8 @@ impl Innovations {
         }
         let open = self.open.get_or_insert_with(|| Open::new(number, time_ns, estimate.innovations.len()));
         open.interval.time_ns = time_ns;
-        if estimate.flags.phase == Phase::Training {
-            open.interval.phase = Phase::Training;
+        if estimate.flags.phase != Phase::Working {
+            open.interval.phase = estimate.flags.phase;
         }
         for (ends, innovation) in open.interval.ends.iter_mut().zip(&estimate.innovations) {
             // NaN gives way to any number
@@ -95,7 +95,7 @@ mod tests {
             normalised_innovation_squared: 4.0,
             log_evidence: 0.0,
             used_channels: 2,
-            flags: EstimateFlags { phase: Phase::Working, restarted: false, prediction_only: false },
+            flags: EstimateFlags::working(),
         };
         EstimateBlock {
             header: Header { source: "identify".into(), epoch: 1, sequence: first, time_ns: 0 },

@@ -2,9 +2,9 @@
 
 use crate::store::Input;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Bus, BusError, EstimateBlock, Event, HistoryLog, Keys, LiveWatch, ModelClassDisplay,
-    Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, ProgressWatch, Service, SpanQuery,
-    Status, Subscription, Topic, parse_key,
+    Acknowledgement, AlertMessage, Bus, BusError, EstimateBlock, Event, FitDisplay, HistoryLog, Keys, LiveWatch,
+    ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, ProgressWatch,
+    Service, SpanQuery, Status, Subscription, Topic, parse_key,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -32,6 +32,7 @@ pub(crate) struct Listening {
     outliers: Subscription<OutlierDisplay>,
     classes: Subscription<ModelClassDisplay>,
     nodes: Subscription<NodeDisplay>,
+    fits: Subscription<FitDisplay>,
     estimates: Subscription<EstimateBlock>,
     alerts: Subscription<AlertMessage>,
     acknowledgements: Subscription<Acknowledgement>,
@@ -57,6 +58,7 @@ impl Listening {
             outliers: bus.subscribe(keys.all_outliers(), VALUES_WAITING).await?,
             classes: bus.subscribe(keys.model_class(), VALUES_WAITING).await?,
             nodes: bus.subscribe(keys.all_nodes(), VALUES_WAITING).await?,
+            fits: bus.subscribe(keys.fit(), VALUES_WAITING).await?,
             estimates: bus.subscribe(keys.estimates(), BLOCKS_WAITING).await?,
             alerts: bus.subscribe(keys.all_alerts(), ALERTS_WAITING).await?,
             acknowledgements: bus.subscribe(keys.all_acknowledgements(), ALERTS_WAITING).await?,
@@ -111,6 +113,8 @@ impl Listening {
         inputs.extend(classes.map(Input::Classes));
         let nodes = self.nodes.gather(root, |m| Some((&m.structure, Topic::Node(m.node.clone()))));
         inputs.extend(nodes.map(Input::Node));
+        let fits = self.fits.gather(root, |m| Some((&m.structure, Topic::Fit)));
+        inputs.extend(fits.map(Input::Fit));
         inputs.extend(self.estimates.gather(root, |_| None).map(Input::Estimates));
         let of_acknowledgement = |m: &Acknowledgement| Topic::Acknowledge(m.parameter.clone());
         let acknowledgements = self.acknowledgements.gather(root, |m| Some((&m.structure, of_acknowledgement(m))));

@@ -9,7 +9,7 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
-use spandrel_bus::AlertState;
+use spandrel_bus::{AlertState, FitReason, FitVerdict, UndecidedBecause};
 use std::fmt;
 use std::sync::atomic::AtomicU64;
 
@@ -30,6 +30,9 @@ struct Metrics {
     noise: Gauges,
     noise_std: Gauges,
     alert: Gauges,
+    fit: Gauges,
+    fit_reason: Gauges,
+    undecided: Gauges,
     plausibility: Gauges,
     rejected: Counters,
     rejected_share: Gauges,
@@ -74,6 +77,13 @@ impl Metrics {
         gauge("noise_variance", "Noise level, a variance in the square of its unit", &self.noise);
         gauge("noise_variance_std", "Standard deviation of the noise level", &self.noise_std);
         gauge("alert_state", "1 for the state in which an alert is, 0 for the others", &self.alert);
+        gauge("identify_fit_verdict", "1 for the verdict on the fit, 0 for the others", &self.fit);
+        gauge("identify_fit_reason", "1 for a reason why the fit is not supported, 0 for the others", &self.fit_reason);
+        gauge(
+            "alert_undecided",
+            "1 for the reason why nothing is decided on a parameter, 0 for the others",
+            &self.undecided,
+        );
         gauge("model_class_plausibility", "Plausibility of a model class", &self.plausibility);
         gauge(
             "channel_rejected_share",
@@ -114,16 +124,26 @@ impl Metrics {
             set(&self.noise_std, "name", name, display.std);
         }
         for (parameter, alert) in &store.alerts {
-            for state in [
-                AlertState::Learning,
-                AlertState::Normal,
-                AlertState::Pending,
-                AlertState::Raised,
-                AlertState::Acknowledged,
-                AlertState::Cleared,
-            ] {
+            for state in AlertState::ALL {
                 let labels = vec![structure(), ("parameter", parameter.clone()), ("state", state.as_str().to_owned())];
                 self.alert.get_or_create(&labels).set(f64::from(u8::from(alert.state == state)));
+            }
+        }
+        for (parameter, alert) in &store.alerts {
+            for because in UndecidedBecause::ALL {
+                let labels =
+                    vec![structure(), ("parameter", parameter.clone()), ("reason", because.as_str().to_owned())];
+                let holds = alert.undecided_because == Some(because);
+                self.undecided.get_or_create(&labels).set(f64::from(u8::from(holds)));
+            }
+        }
+        if let Some(display) = &store.fit {
+            for verdict in FitVerdict::ALL {
+                set(&self.fit, "verdict", verdict.as_str(), f64::from(u8::from(display.verdict == verdict)));
+            }
+            for reason in FitReason::ALL {
+                let holds = display.reasons.iter().any(|found| found == reason);
+                set(&self.fit_reason, "reason", reason.as_str(), f64::from(u8::from(holds)));
             }
         }
         for class in store.classes.iter().flat_map(|display| &display.classes) {
@@ -178,7 +198,7 @@ impl Metrics {
 mod tests {
     use super::*;
     use crate::store::Input;
-    use crate::testing::{alert, demo, parameter};
+    use crate::testing::{alert, demo, fit, parameter, undecided};
 
     #[test]
     fn estimates_and_alerts_are_told_in_the_format_of_openmetrics() {
@@ -199,6 +219,24 @@ mod tests {
     }
 
     #[test]
+    fn verdict_and_reasons_are_labels_of_closed_sets() {
+        let mut store = demo();
+        store.handle(fit(FitVerdict::Doubtful, &[FitReason::ExcessNoise]));
+        store.handle(undecided("storey-2", AlertState::Undecided, UndecidedBecause::NothingLearnt));
+        let text = metrics(std::iter::once(&store)).unwrap();
+        for line in [
+            "spandrel_identify_fit_verdict{structure=\"demo\",verdict=\"doubtful\"} 1.0",
+            "spandrel_identify_fit_verdict{structure=\"demo\",verdict=\"supported\"} 0.0",
+            "spandrel_identify_fit_reason{structure=\"demo\",reason=\"excess-noise\"} 1.0",
+            "spandrel_alert_state{structure=\"demo\",parameter=\"storey-2\",state=\"undecided\"} 1.0",
+            "spandrel_alert_undecided{structure=\"demo\",parameter=\"storey-2\",reason=\"nothing-learnt\"} 1.0",
+            "spandrel_alert_undecided{structure=\"demo\",parameter=\"storey-2\",reason=\"fit-contradicted\"} 0.0",
+        ] {
+            assert!(text.lines().any(|found| found == line), "{line}\n{text}");
+        }
+    }
+
+    #[test]
     fn names_of_others_cannot_break_a_line() {
         let mut store = demo();
         store.handle(Input::Status(spandrel_bus::Status {
@@ -210,6 +248,8 @@ mod tests {
             pace: None,
             load: None,
             frames_behind: None,
+            fit: None,
+            undecided: std::collections::BTreeMap::new(),
             state: None,
             done: 1,
             drops: [("a\"} 1\nspandrel_up 0 #".to_owned(), 3)].into(),

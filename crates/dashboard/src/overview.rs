@@ -3,7 +3,7 @@
 use crate::sensors::{SensorHealth, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
-use spandrel_bus::{AlertMessage, AlertState, Phase, Service, Standing};
+use spandrel_bus::{AlertMessage, AlertState, FitVerdict, Service, Standing, UndecidedBecause};
 use std::time::Duration;
 
 /// For so long a structure of which nothing has come yet may just be starting.
@@ -21,6 +21,8 @@ pub(crate) enum Level {
     Warning,
     /// An alert stands that somebody has seen, or is over.
     Notice,
+    /// Too little is learnt to decide on a part.
+    Undecided,
     /// Nothing is decided yet.
     Learning,
     /// No loss was found.
@@ -47,6 +49,8 @@ pub(crate) struct Overview {
     /// Time of measurement of the newest value (s since the Unix epoch, UTC).
     pub(crate) time_s: Option<f64>,
     pub(crate) sensors: SensorCount,
+    /// The verdict on the fit; none where nobody judges it.
+    pub(crate) fit: Option<FitVerdict>,
     pub(crate) last_alert: Option<LastAlert>,
     /// Alerts that are raised, and that nobody has acknowledged.
     pub(crate) raised: usize,
@@ -109,7 +113,7 @@ pub(crate) fn overview(store: &Store) -> Overview {
         time_s: alert.time_ns as f64 / 1e9,
         why: alert.why.clone(),
     });
-    let raised = alerts_in(store, AlertState::Raised).count();
+    let raised = unseen(store).count();
     Overview {
         name: store.about.name.clone(),
         description: store.about.description.clone(),
@@ -122,6 +126,7 @@ pub(crate) fn overview(store: &Store) -> Overview {
         age_s: store.silence().map(|silence| silence.as_secs_f64()),
         time_s: store.time_ns.map(|time_ns| time_ns as f64 / 1e9),
         sensors,
+        fit: store.fit.as_ref().map(|fit| fit.verdict),
         last_alert,
         raised,
     }
@@ -158,7 +163,7 @@ fn sensor_count(store: &Store) -> SensorCount {
 fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     // the largest loss first
     let largest = |a: &&AlertMessage, b: &&AlertMessage| a.loss.unwrap_or(0.0).total_cmp(&b.loss.unwrap_or(0.0));
-    if let Some(first) = alerts_in(store, AlertState::Raised).max_by(largest) {
+    if let Some(first) = unseen(store).max_by(largest) {
         return (Level::Alarm, with_others(store, first));
     }
     let concerns = concerns(store, sensors);
@@ -179,8 +184,8 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     if store.data_heard().is_none() {
         return (Level::Learning, "waiting for the first estimates".to_owned());
     }
-    if store.phase == Some(Phase::Training) {
-        return (Level::Learning, "the noise levels are being learnt; no alert is decided on meanwhile".to_owned());
+    if let Some(sentence) = undecided(store, false) {
+        return (Level::Undecided, sentence);
     }
     if alerts_in(store, AlertState::Learning).next().is_some() {
         return (Level::Learning, "the sound values are being learnt".to_owned());
@@ -199,13 +204,46 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
     let missing = missing_service(store).map(|missing| format!("the service {} is gone", missing.as_str()));
     let all = [
         (Level::Warning, alerts(AlertState::Pending)),
+        (Level::Warning, undecided(store, true)),
+        (Level::Warning, contradicted_fit(store)),
         (Level::Warning, troubled),
         (Level::Warning, missing),
         // it waits for somebody who has seen it
         (Level::Notice, alerts(AlertState::Cleared)),
         (Level::Notice, alerts(AlertState::Acknowledged)),
+        (Level::Notice, seen_unconfirmed(store)),
     ];
     all.into_iter().filter_map(|(level, sentence)| Some((level, sentence?))).collect()
+}
+
+/// The sentence of an alert on which nothing is decided: because something is wrong, or because nothing is learnt yet or in the
+/// quiet.
+fn undecided(store: &Store, is_wrong: bool) -> Option<String> {
+    let is_of_kind = |alert: &&AlertMessage| match alert.undecided_because {
+        Some(UndecidedBecause::NothingLearnt | UndecidedBecause::NoiseTraining) => !is_wrong,
+        Some(
+            UndecidedBecause::ExcitationSilent | UndecidedBecause::FitContradicted | UndecidedBecause::ParameterAtBound,
+        ) => is_wrong,
+        None => false,
+    };
+    alerts_in(store, AlertState::Undecided).find(is_of_kind).map(|first| with_others(store, first))
+}
+
+/// Alerts that stand and that nobody has acknowledged.
+fn unseen(store: &Store) -> impl Iterator<Item = &AlertMessage> {
+    store.alerts.values().filter(|alert| alert.is_unseen())
+}
+
+/// The sentence of an alert that somebody has seen, and that the data do not confirm now.
+fn seen_unconfirmed(store: &Store) -> Option<String> {
+    alerts_in(store, AlertState::Unconfirmed).find(|alert| !alert.is_unseen()).map(|first| with_others(store, first))
+}
+
+/// What is wrong with the fit, where no alert says so.
+fn contradicted_fit(store: &Store) -> Option<String> {
+    let fit = store.fit.as_ref().filter(|fit| fit.verdict == FitVerdict::Contradicted)?;
+    let is_told = store.alerts.values().any(|alert| alert.undecided_because == Some(UndecidedBecause::FitContradicted));
+    (!is_told).then(|| fit.words())
 }
 
 /// The sentence of an alert, and how many more are in the same state.

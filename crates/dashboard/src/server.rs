@@ -115,8 +115,8 @@ impl Server {
         publisher.put(acknowledgement).await?;
         let is_answer = |alert: &AlertMessage| {
             let is_taken = match before {
-                AlertState::Raised => alert.acknowledged_by.as_ref() == Some(who),
-                _ => alert.state != AlertState::Raised, // what is over, or only pending, has no name beside it
+                AlertState::Raised | AlertState::Unconfirmed => alert.acknowledged_by.as_ref() == Some(who),
+                _ => !alert.is_unseen(), // what is over, or only pending, has no name beside it
             };
             is_taken && alert.structure == *structure && alert.parameter == *parameter
         };

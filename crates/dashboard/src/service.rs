@@ -222,6 +222,8 @@ async fn listen(sources: &mut [Source], server: &Server, id: &Name) -> Result<()
                     pace: None,
                     load: None,
                     frames_behind: None,
+                    fit: None,
+                    undecided: std::collections::BTreeMap::new(),
                     state: None,
                     done: source.taken,
                     drops: source.listening.refused(),

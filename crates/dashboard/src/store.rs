@@ -5,9 +5,9 @@ use crate::innovations::{Innovations, Interval};
 use crate::series::{Series, Table};
 use crate::topic::{Kind, SeriesName};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Arrivals, ChannelState, EstimateBlock, Event, EventKind, HistoryLog,
-    ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, Progress,
-    Service, Status, is_without_date, pace_told,
+    Acknowledgement, AlertMessage, AlertState, Arrivals, ChannelState, EstimateBlock, Event, EventKind, FitDisplay,
+    HistoryLog, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase,
+    Progress, Service, Status, is_without_date, pace_told,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -33,6 +33,7 @@ pub(crate) enum Input {
     Outlier(OutlierDisplay),
     Classes(ModelClassDisplay),
     Node(NodeDisplay),
+    Fit(FitDisplay),
     Estimates(EstimateBlock),
     /// The alert of a parameter has changed.
     Alert(AlertMessage),
@@ -60,6 +61,7 @@ pub(crate) struct Store {
     pub(crate) outliers: BTreeMap<String, OutlierDisplay>,
     pub(crate) classes: Option<ModelClassDisplay>,
     pub(crate) nodes: BTreeMap<String, NodeDisplay>,
+    pub(crate) fit: Option<FitDisplay>,
     pub(crate) phase: Option<Phase>,
     pub(crate) alerts: BTreeMap<String, AlertMessage>,
     /// Alerts of which the service that told them has gone; another one has not said anything of them yet.
@@ -95,6 +97,7 @@ impl Store {
             outliers: BTreeMap::new(),
             classes: None,
             nodes: BTreeMap::new(),
+            fit: None,
             phase: None,
             alerts: BTreeMap::new(),
             stale_alerts: BTreeSet::new(),
@@ -125,6 +128,7 @@ impl Store {
             Input::Outlier(display) => self.take_outlier(display),
             Input::Classes(display) => self.take_classes(display),
             Input::Node(display) => self.take_node(display),
+            Input::Fit(display) => self.fit = Some(display),
             Input::Estimates(block) => {
                 let mut done = Vec::new();
                 self.innovations.handle(&block, &mut done);
@@ -244,13 +248,22 @@ impl Store {
         if known == Some(&alert) {
             return;
         }
-        // that all is well is no news of what nothing was known of
-        let is_news = known.is_some() || !matches!(alert.state, AlertState::Normal | AlertState::Learning);
-        if is_news && !self.changes.contains(&alert) {
+        let is_news = known.is_some() || tells_something(&alert);
+        if is_news && !self.revise(&alert) {
             self.changes.push_front(alert.clone());
             self.changes.truncate(CHANGES_KEPT);
         }
         self.alerts.insert(alert.parameter.to_string(), alert);
+    }
+
+    /// Puts a revision in the place of what it revises; returns `false` where it revises nothing that is kept.
+    fn revise(&mut self, alert: &AlertMessage) -> bool {
+        let is_same = |known: &&mut AlertMessage| alert.revises(known) || known.revises(alert) || **known == *alert;
+        let Some(known) = self.changes.iter_mut().find(is_same) else { return false };
+        if alert.revises(known) {
+            known.clone_from(alert);
+        }
+        true
     }
 
     fn take_event(&mut self, event: Event) {
@@ -311,8 +324,7 @@ impl Store {
     /// Adds what is not known yet to what happened; how alerts stand now is for the alert service to say.
     fn take_past(&mut self, log: HistoryLog) {
         for alert in log.alerts {
-            let is_news = !matches!(alert.state, AlertState::Normal | AlertState::Learning);
-            if is_news && !self.changes.contains(&alert) {
+            if tells_something(&alert) && !self.revise(&alert) {
                 let place = self.changes.partition_point(|known| known.time_ns > alert.time_ns);
                 self.changes.insert(place, alert);
             }
@@ -420,6 +432,11 @@ impl Store {
         }
         news
     }
+}
+
+/// Whether an alert of a parameter of which nothing was known is worth a line: that all is well is not.
+fn tells_something(alert: &AlertMessage) -> bool {
+    !matches!(alert.state, AlertState::Normal | AlertState::Learning | AlertState::Undecided)
 }
 
 #[cfg(test)]

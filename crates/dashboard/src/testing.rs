@@ -2,7 +2,9 @@
 
 use crate::about::About;
 use crate::store::{Input, Store};
-use spandrel_bus::{AlertMessage, AlertState, Name, ParameterDisplay};
+use spandrel_bus::{
+    AlertMessage, AlertState, FitDisplay, FitReason, FitVerdict, Name, ParameterDisplay, UndecidedBecause,
+};
 use spandrel_structure::Structure;
 use std::path::Path;
 use std::time::Duration;
@@ -27,6 +29,23 @@ pub(crate) fn parameter(of: &str, time_ns: i64, mean: f64, probability: f64) -> 
     Input::Parameter(display)
 }
 
+pub(crate) fn fit(verdict: FitVerdict, reasons: &[FitReason]) -> Input {
+    let reasons = reasons.iter().copied().collect();
+    Input::Fit(FitDisplay {
+        structure: name("demo"),
+        time_ns: 5,
+        verdict,
+        reasons,
+        follows_jump: false,
+        channels: vec![],
+    })
+}
+
+/// An alert on which nothing is decided.
+pub(crate) fn undecided(of: &str, state: AlertState, because: UndecidedBecause) -> Input {
+    Input::Alert(AlertMessage { undecided_because: Some(because), ..alert(of, 5, state) })
+}
+
 pub(crate) fn alert(of: &str, time_ns: i64, state: AlertState) -> AlertMessage {
     AlertMessage {
         structure: name("demo"),
@@ -45,5 +64,10 @@ pub(crate) fn alert(of: &str, time_ns: i64, state: AlertState) -> AlertMessage {
         reference_std: Some(0.0),
         acknowledged_by: None,
         why: format!("{of} is {}", state.as_str()),
+        fit: None,
+        fit_reasons: spandrel_bus::FitReasons::default(),
+        follows_jump: false,
+        undecided_because: None,
+        revision: 0,
     }
 }

@@ -4,7 +4,8 @@ use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
-    AlertMessage, Event, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, Status,
+    AlertMessage, Event, FitDisplay, ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay,
+    Phase, Status,
 };
 use std::collections::BTreeMap;
 
@@ -21,6 +22,8 @@ pub(crate) struct Standing<'s> {
     outliers: &'s BTreeMap<String, OutlierDisplay>,
     classes: Option<&'s ModelClassDisplay>,
     nodes: &'s BTreeMap<String, NodeDisplay>,
+    /// The verdict on the fit, with its words.
+    fit: Option<FitView<'s>>,
     training: bool,
     alerts: Vec<AlertView<'s>>,
     changes: Vec<AlertView<'s>>,
@@ -42,6 +45,14 @@ pub(crate) struct AlertView<'s> {
     pub(crate) note: Option<&'s str>,
     /// What the newest value says of the loss, where that is newer than the sentence of the alert.
     pub(crate) now: Option<String>,
+}
+
+/// The verdict on the fit as the page shows it.
+#[derive(Debug, Serialize)]
+struct FitView<'s> {
+    #[serde(flatten)]
+    display: &'s FitDisplay,
+    words: String,
 }
 
 /// A service and what it says of itself.
@@ -73,6 +84,7 @@ impl<'s> Standing<'s> {
             outliers: &store.outliers,
             classes: store.classes.as_ref(),
             nodes: &store.nodes,
+            fit: store.fit.as_ref().map(|display| FitView { display, words: display.words() }),
             training: store.phase == Some(Phase::Training),
             alerts: standing_alerts(store).collect(),
             changes: changes(store).take(CHANGES_SHOWN).collect(),

@@ -243,6 +243,11 @@ fn raised() -> AlertMessage {
         reference_std: Some(0.0),
         acknowledged_by: None,
         why: "storey-2 has lost 15 %".into(),
+        fit: None,
+        fit_reasons: spandrel_bus::FitReasons::default(),
+        follows_jump: false,
+        undecided_because: None,
+        revision: 0,
     }
 }
 

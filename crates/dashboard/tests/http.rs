@@ -118,6 +118,11 @@ impl Site {
             reference_std: Some(0.0),
             acknowledged_by: (state == AlertState::Acknowledged).then(|| "Ada".to_owned()),
             why: "storey-2 <b>has lost</b> 15 %".into(),
+            fit: None,
+            fit_reasons: spandrel_bus::FitReasons::default(),
+            follows_jump: false,
+            undecided_because: None,
+            revision: 0,
         };
         self.alert.put(&alert).await.unwrap();
     }

@@ -16,6 +16,8 @@ use crate::dense::{add_quadratic_form_mut, diagonal_to, symmetrise_mut};
 use crate::discretise::{self, InputHold, Series};
 use crate::error::FilterError;
 use crate::fading::bound_variances_mut;
+use crate::fit::{ChannelFit, Fit, FitState, Shown};
+use crate::misfit::MisfitState;
 use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::{ExcitationPath, NoiseEvents, NoisePhase, NoiseRule, NoiseState, NoiseTarget};
 use crate::outlier::OutlierState;
@@ -157,9 +159,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             &work.sensors,
             &mut work.update,
         );
+        let per_channel = evidence.normalised_innovation_squared / used.max(1) as f64;
+        self.answer_misfit(per_channel);
         let limited_states = self.limit_state();
         let bounded_variances = self.bound_variances();
         self.check_result()?;
+        self.judge_fit(frame, per_channel, limited_states > 0);
         self.commit(frame, evidence.normalised_innovation_squared);
         Ok(Step {
             normalised_innovation_squared: evidence.normalised_innovation_squared,
@@ -220,6 +225,35 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         &self.state.noise
     }
 
+    /// Returns what is known of the misfit of the parameters; `None` where it is not measured.
+    pub fn misfit(&self) -> Option<&MisfitState> {
+        self.state.misfit.as_ref()
+    }
+
+    /// Returns the verdict on the fit after the last step.
+    pub fn fit(&self) -> Fit {
+        self.state.fit.as_ref().map(FitState::fit).unwrap_or_default()
+    }
+
+    /// Returns the measures of fit of each channel (N_0); empty where they are not taken.
+    pub fn channel_fits(&self) -> &[ChannelFit] {
+        self.state.fit.as_ref().map_or(&[], FitState::channels)
+    }
+
+    /// Returns the covariance of two parameters (from 0) that includes the error of the model, as far as it shows.
+    ///
+    /// It is the filter's own where misfit is not measured.
+    pub fn parameter_covariance(&self, i: usize, j: usize) -> f64 {
+        let first = self.model.state_len() - self.model.parameter_len();
+        let own = self.state.covariance[(first + i, first + j)];
+        let scaled = self
+            .state
+            .misfit
+            .as_ref()
+            .map_or(own, |misfit| own * (misfit.variance_scale(i) * misfit.variance_scale(j)).sqrt());
+        scaled + self.settings.considered_std[first + i] * self.settings.considered_std[first + j]
+    }
+
     /// Returns what is known of outliers in each channel; `None` where they are not screened.
     pub fn outliers(&self) -> Option<&OutlierState> {
         self.state.outliers.as_ref()
@@ -273,6 +307,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             ("excitation of a checkpoint", state.last_excitation.len(), self.model.excitation_len()),
             ("screened channels of a checkpoint", state.screened(), self.state.screened()),
             ("noise parameters of a checkpoint", state.noise.mean.len(), self.settings.noise.parameters.len()),
+            ("misfit of a checkpoint", state.misfit_len(), self.state.misfit_len()),
+            ("fit of a checkpoint", state.fit_len(), self.state.fit_len()),
         ];
         for (what, found, expected) in sizes {
             if found != expected {
@@ -540,7 +576,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// Returns the factor by which the start-up aid raises the noise of the sensors at this step.
     fn annealing(&self) -> f64 {
         self.settings.annealing.map_or(1.0, |Annealing { amount, time_constant_s }| {
-            let elapsed_s = self.state.steps as f64 * self.settings.step_s;
+            let elapsed_s = self.state.steps.saturating_sub(self.state.annealed_from) as f64 * self.settings.step_s;
             1.0 + amount * (-elapsed_s / time_constant_s).exp()
         })
     }
@@ -635,6 +671,49 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             work.sensors *= annealing;
         }
         *innovation_covariance += &work.sensors;
+    }
+
+    /// Measures what the misfit does to the parameters, tempers what this step taught of them, and follows jumps.
+    fn answer_misfit(&mut self, normalised_innovation_squared: f64) {
+        let Self { model, settings, state, work, .. } = self;
+        let (Some(misfit_settings), Some(misfit)) = (&settings.misfit, &mut state.misfit) else {
+            return;
+        };
+        let Workspace { misfit: scratch, mean, covariance, p_ht, update, .. } = work;
+        scratch.read(&update.variances, p_ht, update.whitened());
+        let jumped = misfit.take(misfit_settings, scratch, normalised_innovation_squared);
+        scratch.temper(misfit, misfit_settings, settings.fading.value(), &settings.prior_std, mean, covariance);
+        if jumped {
+            let first = mean.len() - model.parameter_len();
+            for j in first..mean.len() {
+                covariance[(j, j)] += settings.prior_std[j] * settings.prior_std[j];
+            }
+            misfit.start_jump((first..mean.len()).map(|j| covariance[(j, j)]));
+            state.annealed_from = state.steps;
+        }
+        diagonal_to(covariance, &mut update.variances);
+    }
+
+    /// Judges how well the model explains the data so far.
+    fn judge_fit(&mut self, frame: Frame<'_>, normalised_innovation_squared: f64, at_bound: bool) {
+        let Self { model, settings, state, work, .. } = self;
+        let first = work.mean.len() - model.parameter_len();
+        let (Some(misfit_settings), Some(misfit), Some(fit)) = (&settings.misfit, &state.misfit, &mut state.fit) else {
+            return;
+        };
+        fit.take(
+            misfit_settings,
+            misfit,
+            Shown {
+                observations: frame.observations,
+                innovations: work.update.innovation.as_slice(),
+                excitation: frame.excitation,
+                noise: &work.sensors,
+                normalised_innovation_squared,
+                at_bound,
+                parameters: [&work.mean, &settings.prior_mean, &settings.prior_std].map(|all| &all.as_slice()[first..]),
+            },
+        );
     }
 
     /// Brings entries of the state back to their limits; the covariance stays.

@@ -10,6 +10,7 @@
 //! - [`model`]: the two traits
 //! - [`fading`]: how old data are forgotten
 //! - [`noise`]: the noise levels and how they are identified
+//! - [`fit`]: how well the model explains the data
 //! - [`outlier`]: which samples are too far off to be used
 //! - [`discretise`]: one time step without inverting the Jacobian
 //! - [`proportional`]: the same, several times faster, for linear structures with proportional damping
@@ -38,9 +39,11 @@ pub mod constant;
 pub mod discretise;
 pub mod extended;
 pub mod fading;
+pub mod fit;
 pub mod fusion;
 pub mod kalman;
 pub mod linear;
+pub mod misfit;
 pub mod noise;
 pub mod outlier;
 pub mod particle;
@@ -59,8 +62,10 @@ pub use discretise::InputHold;
 pub use error::FilterError;
 pub use extended::{Annealing, ExtendedKalmanFilter, FilterSettings, FilterState, Frame, Step};
 pub use fading::FadingFactor;
+pub use fit::{ChannelFit, Fit, FitReason, FitVerdict};
 pub use kalman::{KalmanFilter, LinearModel};
 pub use linear::{DirectTerm, ModalModel, StateSpace};
+pub use misfit::{MisfitSettings, MisfitState};
 pub use model::{ObservationModel, ProcessModel};
 pub use noise::{NoiseModel, NoiseParameter, NoisePhase, NoiseRule, NoiseSettings, NoiseState, NoiseTarget};
 pub use outlier::{ChannelScreen, OutlierChange, OutlierSettings, OutlierState, OutlierTraining, Verdict};

@@ -362,7 +362,11 @@ impl NoiseState {
         let limit = settings.training_limit_steps;
         let late = limit > 0 && self.training_step >= limit;
         // Σ_ψ is only ever replaced by a positive definite one, so its diagonal tells
-        (waited || late) && self.largest_relative_std() < TRAINED_RELATIVE_STD
+        let known = self.largest_relative_std() < TRAINED_RELATIVE_STD;
+        // A level that the data hardly inform, such as that of an unmeasured excitation, never becomes that certain. The
+        // scoring step copes with it, and waiting longer would only keep alerts from being decided.
+        let settled_late = settings.rule == NoiseRule::Fisher && late && settled;
+        (waited || late) && known || settled_late
     }
 
     fn innovations_keep_disagreeing(&mut self, settings: &NoiseSettings, objective: &mut Objective) -> bool {

@@ -20,6 +20,7 @@
 mod drifting;
 mod estimates;
 mod excited;
+mod innovation;
 mod model;
 mod moments;
 mod resampling;
@@ -35,6 +36,7 @@ pub use warm_started::{WarmStartState, WarmStartedParticleFilter};
 
 use crate::error::FilterError;
 use crate::extended::Frame;
+use innovation::Innovation;
 use moments::SquareRoot;
 use nalgebra::{DMatrix, DVector};
 use rand_chacha::ChaCha8Rng;
@@ -68,6 +70,9 @@ pub struct ParticleStep {
     pub log_evidence: f64,
     /// Channels that took part; 0 makes the step a prediction.
     pub used_channels: usize,
+    /// `νᵀ S⁻¹ ν` of the innovation against what the particles predict; about the number of channels that took part while
+    /// they follow the data.
+    pub normalised_innovation_squared: f64,
     /// `N_eff = 1/Σ W²` after this frame.
     pub effective_size: f64,
     /// Standard deviation of the weights over their mean after this frame.
@@ -96,8 +101,8 @@ pub struct ParticleState {
     log_evidence: f64,
 }
 
-/// A worker with its particles and their weights, and its number.
-type Share<'a, M> = (usize, ((&'a mut Worker<M>, &'a mut [f64]), &'a mut [f64]));
+/// A worker with its particles, their weights and their predictions, and its number.
+type Share<'a, M> = (usize, (((&'a mut Worker<M>, &'a mut [f64]), &'a mut [f64]), &'a mut [f64]));
 
 /// What a stream of random numbers is for.
 #[derive(Debug, Clone, Copy)]
@@ -130,6 +135,7 @@ pub struct ParticleFilter<M> {
     cumulative: Vec<f64>,
     covariance: DMatrix<f64>,
     root: SquareRoot,
+    innovation: Innovation,
 }
 
 impl<M: ParticleModel> ParticleFilter<M> {
@@ -150,6 +156,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
         } else {
             None
         };
+        let worker_channels = model.observation_len();
         let worker = Worker::new(model);
         let mut filter = Self {
             state: ParticleState {
@@ -174,6 +181,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
             cumulative: vec![0.0; count],
             covariance: DMatrix::zeros(n, n),
             root: SquareRoot::new(n),
+            innovation: Innovation::new(worker_channels, count),
             settings,
             start,
         };
@@ -236,7 +244,10 @@ impl<M: ParticleModel> ParticleFilter<M> {
         if resampled {
             self.resample();
         }
+        self.innovation.begin(&self.state.log_weights);
         self.advance(frame);
+        let (model, mean) = (&mut self.workers[0].model, &self.mean);
+        self.innovation.compare(frame.observations, |out| model.sensor_covariance(mean.as_slice(), out));
         let log_evidence = self.normalise()?;
         self.state.log_evidence += log_evidence;
         self.remember_input(frame);
@@ -248,6 +259,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
         Ok(ParticleStep {
             log_evidence,
             used_channels: frame.observations.iter().filter(|value| !value.is_nan()).count(),
+            normalised_innovation_squared: self.innovation.squared(),
             effective_size: self.effective_size(),
             coefficient_of_variation: self.coefficient_of_variation(),
             resampled,
@@ -269,6 +281,11 @@ impl<M: ParticleModel> ParticleFilter<M> {
     /// Returns the settings.
     pub fn settings(&self) -> &ParticleSettings {
         &self.settings
+    }
+
+    /// Returns the innovation of the last step (q, sensor units), NaN where a channel was missing and before the first step.
+    pub fn innovation(&self) -> &[f64] {
+        self.innovation.values()
     }
 
     /// Returns `ln p(Ŷ_k)`, the sum over all frames so far.
@@ -311,7 +328,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
 
     /// Moves every particle to the frame, and adds the logarithm of its weight's factor.
     fn advance(&mut self, frame: Frame<'_>) {
-        let Self { settings, state, workers, pool, mean, .. } = self;
+        let Self { settings, state, workers, pool, mean, innovation, .. } = self;
         let ParticleState { states, log_weights, steps, seed, fresh, previous_input, input_mean_square, .. } = state;
         let interval = Interval {
             previous: (!*fresh).then_some(previous_input.as_slice()),
@@ -320,12 +337,14 @@ impl<M: ParticleModel> ParticleFilter<M> {
         };
         let (n, share) = (mean.len(), settings.particles.div_ceil(workers.len()));
         let (seed, step, density) = (*seed, *steps + 1, settings.density);
-        let run = |(part, ((worker, states), log_weights)): Share<'_, M>| {
+        let q = frame.observations.len();
+        let run = |(part, (((worker, states), log_weights), predicted)): Share<'_, M>| {
             let particles = states.chunks_exact_mut(n).zip(log_weights);
             for (i, (particle, log_weight)) in particles.enumerate() {
                 if *log_weight > f64::NEG_INFINITY {
                     let mut rng = stream(seed, step, part * share + i, Purpose::Disturbance);
-                    *log_weight += worker.advance(density, interval, frame.observations, &mut rng, particle);
+                    let predicted = &mut predicted[i * q..(i + 1) * q];
+                    *log_weight += worker.advance(density, interval, frame.observations, &mut rng, particle, predicted);
                 }
             }
         };
@@ -334,6 +353,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
                 .iter_mut()
                 .zip(states.chunks_mut(n * share))
                 .zip(log_weights.chunks_mut(share))
+                .zip(innovation.predicted.chunks_mut(q.max(1) * share))
                 .enumerate()
                 .for_each(run),
             Some(pool) => pool.install(|| {
@@ -341,6 +361,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
                     .par_iter_mut()
                     .zip(states.par_chunks_mut(n * share))
                     .zip(log_weights.par_chunks_mut(share))
+                    .zip(innovation.predicted.par_chunks_mut(q.max(1) * share))
                     .enumerate()
                     .for_each(run);
             }),

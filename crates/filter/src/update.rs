@@ -66,6 +66,11 @@ struct JosephWorkspace {
 }
 
 impl Workspace {
+    /// Returns `ν̃` of the last update (N_0).
+    pub(crate) fn whitened(&self) -> &DVector<f64> {
+        &self.whitened
+    }
+
     pub(crate) fn new(n: usize, channels: usize, inputs: usize, form: CovarianceForm) -> Self {
         let wide = || DMatrix::zeros(channels, n);
         Self {

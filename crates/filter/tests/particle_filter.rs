@@ -130,6 +130,8 @@ struct Comparison {
     mean: f64,
     ratio: f64,
     log_evidence: f64,
+    /// sum of the normalised innovations squared of the particles over that of the Kalman filter
+    misfit: f64,
 }
 
 /// Runs both filters on the same frames and compares the first two entries of the state.
@@ -145,10 +147,15 @@ fn compare<M: ProcessModel + ObservationModel + Clone + Send>(
     let mut particles = ParticleFilter::new(system, particle_settings, start).unwrap();
     let mut kalman = ExtendedKalmanFilter::new(model, settings).unwrap();
     let (mut errors, mut ratios, mut log_evidence) = (Vec::new(), Vec::new(), 0.0);
+    let mut misfits = [0.0; 2];
     for (observations, excitation) in frames {
         let frame = Frame { observations, excitation };
-        log_evidence -= kalman.step(frame).unwrap().log_evidence;
-        log_evidence += particles.step(frame).unwrap().log_evidence;
+        let (of_kalman, of_particles) = (kalman.step(frame).unwrap(), particles.step(frame).unwrap());
+        log_evidence += of_particles.log_evidence - of_kalman.log_evidence;
+        misfits[0] += of_particles.normalised_innovation_squared;
+        misfits[1] += of_kalman.normalised_innovation_squared;
+        let missing = |innovation: &[f64]| innovation.iter().map(|value| value.is_nan()).collect::<Vec<_>>();
+        assert_eq!(missing(particles.innovation()), missing(kalman.innovation().as_slice()));
         for j in 0..2 {
             let deviation = kalman.covariance()[(j, j)].sqrt();
             errors.push((particles.mean()[j] - kalman.mean()[j]) / deviation);
@@ -156,7 +163,7 @@ fn compare<M: ProcessModel + ObservationModel + Clone + Send>(
         }
     }
     let ratio = ratios.iter().sum::<f64>() / ratios.len() as f64;
-    Comparison { mean: rms(errors.into_iter()), ratio, log_evidence }
+    Comparison { mean: rms(errors.into_iter()), ratio, log_evidence, misfit: misfits[0] / misfits[1] }
 }
 
 fn with_gaps(mut frames: Vec<([f64; 2], [f64; 1])>) -> Vec<([f64; 2], [f64; 1])> {
@@ -194,11 +201,13 @@ fn known_linear_system_gives_the_extended_kalman_filter() {
             for density in [ImportanceDensity::Optimal, ImportanceDensity::Prior] {
                 let particle_settings = ParticleSettings { density, seed, ..ParticleSettings::default() };
                 let found = compare(Oscillator::default(), settings.clone(), particle_settings, &frames);
-                let Comparison { mean, ratio, log_evidence } = found;
+                let Comparison { mean, ratio, log_evidence, misfit } = found;
                 println!("seed {seed}, {hold:?}, {density:?}: {mean:.3}, {ratio:.3}, {log_evidence:.2}");
                 assert!(mean <= 0.12, "seed {seed}, {hold:?}, {density:?}: {mean}");
                 assert!((0.97..1.03).contains(&ratio), "seed {seed}, {hold:?}, {density:?}: {ratio}");
                 assert!(log_evidence.abs() <= 1.0, "seed {seed}, {hold:?}, {density:?}: {log_evidence}");
+                // the covariance of the predictions is that of a few hundred effective draws
+                assert!((misfit - 1.0).abs() <= 0.03, "seed {seed}, {hold:?}, {density:?}: {misfit}");
             }
         }
     }
@@ -228,12 +237,13 @@ fn sensors_that_feel_the_excitation_give_the_extended_kalman_filter() {
                 let settings = FilterSettings::new(STEP_S, DVector::zeros(2), std, noises(sensor_std));
                 let particle_settings = ParticleSettings { particles, density, seed, threads: 2, ..Default::default() };
                 let found = compare(Felt::new(), settings, particle_settings, &frames);
-                let Comparison { mean, ratio, log_evidence } = found;
+                let Comparison { mean, ratio, log_evidence, misfit } = found;
                 let name = format!("seed {seed}, {density:?}, {sensor_std:?}");
                 println!("{name}: {mean:.3}, {ratio:.3}, {log_evidence:.2}");
                 assert!(mean <= allowed, "{name}: {mean}");
                 assert!((0.97..1.03).contains(&ratio), "{name}: {ratio}");
                 assert!(log_evidence.abs() <= allowed_evidence, "{name}: {log_evidence}");
+                assert!((misfit - 1.0).abs() <= 0.03, "{name}: {misfit}");
             }
         }
     }

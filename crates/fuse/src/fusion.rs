@@ -8,7 +8,7 @@ use crate::error::FuseError;
 use crate::node::{Node, SILENT_FUSIONS};
 use spandrel_bus::{
     Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FeedbackMessage, Header, LocalMessage, MotionNumbers,
-    Name, NodeDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase, StreamState, ToldMotion,
+    Name, NodeDisplay, OutlierDisplay, Pace, ParameterDisplay, StreamState, ToldMotion,
 };
 use spandrel_filter::fusion::{CompressedMotion, Fused, Gaussian, Lineage, LocalEstimate, Station};
 use spandrel_structure::Structure;
@@ -392,7 +392,7 @@ impl Fusion {
             normalised_innovation_squared: 0.0,
             log_evidence: 0.0,
             used_channels: 0,
-            flags: EstimateFlags { phase: Phase::Working, restarted: false, prediction_only: fused.used == 0 },
+            flags: EstimateFlags { prediction_only: fused.used == 0, ..EstimateFlags::working() },
         };
         outputs.push(Output::Estimates(self.block(number, t0_ns, time_ns, vec![estimate], StreamState::Running)));
         for (index, (name, asked)) in self.parameters.iter().enumerate() {

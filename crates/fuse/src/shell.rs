@@ -285,6 +285,8 @@ impl FuseService {
             pace: self.core.pace(),
             load: None,
             frames_behind: None,
+            fit: None,
+            undecided: BTreeMap::new(),
             state: None,
             done: self.core.done(),
             drops,

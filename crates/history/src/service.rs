@@ -305,6 +305,8 @@ impl HistoryService {
                 pace: None,
                 load: None,
                 frames_behind: None,
+                fit: None,
+                undecided: BTreeMap::new(),
                 state: None,
                 done: source.taken,
                 drops,

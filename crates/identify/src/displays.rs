@@ -3,8 +3,8 @@
 use crate::identification::{Identification, Output};
 use crate::shell::log_event;
 use spandrel_bus::{
-    Bus, BusError, DisplayPublisher, Event, Keys, Message, ModelClassDisplay, Name, NoiseDisplay, OutlierDisplay,
-    ParameterDisplay,
+    Bus, BusError, DisplayPublisher, Event, FitDisplay, Keys, Message, ModelClassDisplay, Name, NoiseDisplay,
+    OutlierDisplay, ParameterDisplay,
 };
 use std::collections::BTreeMap;
 use tracing::warn;
@@ -16,6 +16,7 @@ pub(crate) struct Displays {
     noise: BTreeMap<Name, DisplayPublisher<NoiseDisplay>>,
     outliers: BTreeMap<Name, DisplayPublisher<OutlierDisplay>>,
     classes: Option<DisplayPublisher<ModelClassDisplay>>,
+    fit: DisplayPublisher<FitDisplay>,
     events: DisplayPublisher<Event>,
 }
 
@@ -27,7 +28,7 @@ impl Displays {
             parameters.insert(name.clone(), bus.publish_display(keys.parameter(name)).await?);
         }
         let mut noise = BTreeMap::new();
-        for name in core.noise_names() {
+        for name in core.displayed_noise_names() {
             noise.insert(name.clone(), bus.publish_display(keys.noise(name)).await?);
         }
         let mut outliers = BTreeMap::new();
@@ -38,8 +39,9 @@ impl Displays {
             true => Some(bus.publish_display(keys.model_class()).await?),
             false => None,
         };
+        let fit = bus.publish_display(keys.fit()).await?;
         let events = bus.publish_display(keys.event()).await?;
-        Ok(Self { parameters, noise, outliers, classes, events })
+        Ok(Self { parameters, noise, outliers, classes, fit, events })
     }
 
     /// Parameters and noise levels that are shown.
@@ -54,6 +56,7 @@ impl Displays {
             Output::Noise(display) => show(self.noise.get(&display.name), display).await,
             Output::Outliers(display) => show(self.outliers.get(&display.channel), display).await,
             Output::Classes(display) => show(self.classes.as_ref(), display).await,
+            Output::Fit(display) => show(Some(&self.fit), display).await,
             Output::Event(event) => {
                 log_event(event, None);
                 self.events.put(event).await

@@ -1,10 +1,10 @@
 //! What turns frames into estimates: one filter, one for each model class, or particles.
 
-use nalgebra::{DMatrix, DVector};
+use crate::particles::{ParticleMemory, ParticlePlan, Particles};
 use serde::{Deserialize, Serialize};
 use spandrel_filter::{
-    ClassBank, ClassBankState, ExtendedKalmanFilter, FilterError, FilterSettings, FilterState, Frame, NoiseState,
-    OutlierState, ParticleSettings, ProcessModel, Step, WarmStartState, WarmStartedParticleFilter,
+    ChannelFit, ClassBank, ClassBankState, ExtendedKalmanFilter, FilterError, FilterSettings, FilterState, Fit, Frame,
+    NoiseState, OutlierState, ProcessModel, Step,
 };
 use spandrel_structure::{Structure, StructureClasses, StructureModel};
 
@@ -27,75 +27,7 @@ pub enum EstimatorState {
     /// Of several models.
     Classes(ClassBankState),
     /// Of particles.
-    Particles(WarmStartState),
-}
-
-/// How particles are used in place of a Kalman filter.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ParticlePlan {
-    /// The particle filter itself.
-    pub settings: ParticleSettings,
-    /// Standard deviation by which each parameter may drift within a second (ratio to nominal per √s).
-    pub drift_per_root_s: f64,
-    /// How long a Kalman filter runs before the particles are drawn (s).
-    pub warm_up_s: f64,
-}
-
-impl Default for ParticlePlan {
-    /// 2000 particles from the optimal density after two seconds, and a drift of 1 % in four seconds.
-    fn default() -> Self {
-        Self { settings: ParticleSettings::default(), drift_per_root_s: 0.005, warm_up_s: 2.0 }
-    }
-}
-
-/// A particle filter with its estimates as the other filters have them.
-#[derive(Debug)]
-pub struct Particles {
-    filter: WarmStartedParticleFilter<StructureModel>,
-    /// entries of the state before the parameters
-    first: usize,
-    mean: DVector<f64>,
-    /// of the state of the particles
-    covariance: DMatrix<f64>,
-    /// nothing is told of innovations (N_0)
-    innovation: Vec<f64>,
-    /// sum of the effective sizes as shares of all particles, and how many were summed
-    effective: (f64, u64),
-}
-
-impl Particles {
-    fn step(&mut self, frame: Frame<'_>) -> Result<Step, FilterError> {
-        let step = self.filter.step(frame)?;
-        if let Some(particles) = self.filter.particles() {
-            self.effective.0 += step.effective_size / particles.settings().particles as f64;
-            self.effective.1 += 1;
-        }
-        self.take_estimates();
-        Ok(Step {
-            normalised_innovation_squared: 0.0,
-            log_evidence: step.log_evidence,
-            used_channels: step.used_channels,
-            rejected_channels: 0,
-            limited_states: 0,
-            bounded_variances: 0,
-            noise_phase: self.filter.kalman().noise().phase,
-            training_ended: false,
-            training_overdue: false,
-            training_restarted: false,
-        })
-    }
-
-    /// Returns the mean share of the particles that counted before they were drawn anew; `None` before the first step of any.
-    #[must_use]
-    pub fn effective_share(&self) -> Option<f64> {
-        let (sum, count) = self.effective;
-        (count > 0).then(|| sum / count as f64)
-    }
-
-    fn take_estimates(&mut self) {
-        self.mean.copy_from_slice(&self.filter.mean()[self.first..]);
-        self.filter.covariance_to(&mut self.covariance);
-    }
+    Particles(ParticleMemory),
 }
 
 impl Estimator {
@@ -104,6 +36,17 @@ impl Estimator {
     /// # Errors
     /// When a filter refuses its settings.
     pub fn new(structure: &Structure) -> Result<Self, FilterError> {
+        if let Some(keys) = structure.particles() {
+            return Self::with_particles(structure, &ParticlePlan::of(&keys));
+        }
+        Self::kalman(structure)
+    }
+
+    /// Makes the Kalman filter, or the bank of model classes, of the structure file, also where it asks for particles.
+    ///
+    /// # Errors
+    /// When a filter refuses its settings.
+    pub fn kalman(structure: &Structure) -> Result<Self, FilterError> {
         Ok(match structure.class_bank()? {
             Some(bank) => Self::Classes(Box::new(bank)),
             None => {
@@ -118,23 +61,7 @@ impl Estimator {
     /// # Errors
     /// When a setting lies outside its range.
     pub fn with_particles(structure: &Structure, plan: &ParticlePlan) -> Result<Self, FilterError> {
-        let model = structure.model();
-        let (parameters, channels) = (model.parameter_len(), structure.observation_channels().len());
-        let first = model.state_len() - parameters;
-        let drift_std = DVector::repeat(parameters, plan.drift_per_root_s * structure.step_s().sqrt());
-        let warm_steps = (plan.warm_up_s * structure.sampling_rate_hz()).round() as u64;
-        let settings = structure.filter_settings()?;
-        let filter = WarmStartedParticleFilter::new(model, settings, drift_std, plan.settings.clone(), warm_steps)?;
-        let len = filter.state_len();
-        let mut particles = Particles {
-            first,
-            mean: DVector::zeros(parameters),
-            covariance: DMatrix::zeros(len, len),
-            innovation: vec![f64::NAN; channels],
-            effective: (0.0, 0),
-            filter,
-        };
-        particles.take_estimates();
+        let particles = Particles::new(structure, plan)?;
         Ok(Self::Particles(Box::new(particles)))
     }
 
@@ -161,11 +88,7 @@ impl Estimator {
                 Ok(())
             }
             Self::Classes(bank) => bank.restart(),
-            Self::Particles(particles) => {
-                let restarted = particles.filter.restart();
-                particles.take_estimates();
-                restarted
-            }
+            Self::Particles(particles) => particles.restart(),
         }
     }
 
@@ -174,10 +97,7 @@ impl Estimator {
         match self {
             Self::Filter(filter) => filter.forget_motion(),
             Self::Classes(bank) => bank.forget_motion(),
-            Self::Particles(particles) => {
-                particles.filter.forget_motion();
-                particles.take_estimates();
-            }
+            Self::Particles(particles) => particles.forget_motion(),
         }
     }
 
@@ -187,7 +107,7 @@ impl Estimator {
         match self {
             Self::Filter(filter) => EstimatorState::Filter(filter.state().clone()),
             Self::Classes(bank) => EstimatorState::Classes(bank.state()),
-            Self::Particles(particles) => EstimatorState::Particles(particles.filter.state()),
+            Self::Particles(particles) => EstimatorState::Particles(particles.state()),
         }
     }
 
@@ -199,11 +119,7 @@ impl Estimator {
         match (self, state) {
             (Self::Filter(filter), EstimatorState::Filter(state)) => filter.restore(state),
             (Self::Classes(bank), EstimatorState::Classes(state)) => bank.restore(state),
-            (Self::Particles(particles), EstimatorState::Particles(state)) => {
-                particles.filter.restore(state)?;
-                particles.take_estimates();
-                Ok(())
-            }
+            (Self::Particles(particles), EstimatorState::Particles(state)) => particles.restore(state),
             (Self::Filter(_) | Self::Classes(_) | Self::Particles(_), _) => {
                 let what = "kind of estimator of a checkpoint (0: another, 1: that of the structure file)";
                 Err(FilterError::Dimension { what, found: 0, expected: 1 })
@@ -217,7 +133,7 @@ impl Estimator {
         match self {
             Self::Filter(filter) => filter.settings(),
             Self::Classes(bank) => bank.template(),
-            Self::Particles(particles) => particles.filter.kalman().settings(),
+            Self::Particles(particles) => particles.kalman().settings(),
         }
     }
 
@@ -227,17 +143,17 @@ impl Estimator {
         match self {
             Self::Filter(filter) => &filter.mean().as_slice()[self.first()..],
             Self::Classes(bank) => bank.parameter_mean().as_slice(),
-            Self::Particles(particles) => particles.mean.as_slice(),
+            Self::Particles(particles) => particles.parameter_mean(),
         }
     }
 
-    /// Returns the covariance of two parameters.
+    /// Returns the covariance of two parameters, of one model with what its misfit adds.
     #[must_use]
     pub fn parameter_covariance(&self, i: usize, j: usize) -> f64 {
         match self {
-            Self::Filter(filter) => filter.covariance()[(self.first() + i, self.first() + j)],
+            Self::Filter(filter) => filter.parameter_covariance(i, j),
             Self::Classes(bank) => bank.parameter_covariance()[(i, j)],
-            Self::Particles(particles) => particles.covariance[(particles.first + i, particles.first + j)],
+            Self::Particles(particles) => particles.parameter_covariance(i, j),
         }
     }
 
@@ -252,7 +168,7 @@ impl Estimator {
                 let filter = bank.filter(bank.leader());
                 (filter.mean().as_slice(), filter.covariance())
             }
-            Self::Particles(particles) => (particles.filter.mean(), &particles.covariance),
+            Self::Particles(particles) => (particles.state_mean(), particles.state_covariance()),
         };
         let value = terms.iter().map(|(entry, factor)| factor * mean[*entry]).sum();
         let pairs = terms.iter().flat_map(|one| terms.iter().map(move |other| (one, other)));
@@ -279,7 +195,27 @@ impl Estimator {
         match self {
             Self::Filter(filter) => filter.noise(),
             Self::Classes(bank) => bank.noise(),
-            Self::Particles(particles) => particles.filter.kalman().noise(),
+            Self::Particles(particles) => particles.kalman().noise(),
+        }
+    }
+
+    /// Returns the verdict on the fit after the last step: of several model classes, that of the most plausible one.
+    #[must_use]
+    pub fn fit(&self) -> Fit {
+        match self {
+            Self::Filter(filter) => filter.fit(),
+            Self::Classes(bank) => bank.filter(bank.leader()).fit(),
+            Self::Particles(_) => Fit::default(),
+        }
+    }
+
+    /// Returns the measures of fit of each channel; empty where the estimator has none.
+    #[must_use]
+    pub fn channel_fits(&self) -> &[ChannelFit] {
+        match self {
+            Self::Filter(filter) => filter.channel_fits(),
+            Self::Classes(bank) => bank.filter(bank.leader()).channel_fits(),
+            Self::Particles(_) => &[],
         }
     }
 
@@ -293,13 +229,13 @@ impl Estimator {
         }
     }
 
-    /// Returns the innovation of the last step, NaN where a channel was missing or rejected, and of particles.
+    /// Returns the innovation of the last step, NaN where a channel was missing or rejected.
     #[must_use]
     pub fn innovation(&self) -> &[f64] {
         match self {
             Self::Filter(filter) => filter.innovation().as_slice(),
             Self::Classes(bank) => bank.innovation().as_slice(),
-            Self::Particles(particles) => &particles.innovation,
+            Self::Particles(particles) => particles.innovation(),
         }
     }
 
@@ -317,7 +253,7 @@ impl Estimator {
         match self {
             Self::Filter(filter) => filter.mean().len() - filter.model().parameter_len(),
             Self::Classes(bank) => bank.motion().len(),
-            Self::Particles(particles) => particles.first,
+            Self::Particles(particles) => particles.first(),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The core: frames of one structure in, estimates out, one filter step per frame.
 
 mod events;
+mod fit;
 mod hearing;
 mod state;
 
@@ -10,13 +11,14 @@ use crate::estimator::Estimator;
 use crate::model_classes::ClassView;
 use crate::pieces::MOST_ITEMS;
 use crate::screening::ScreeningView;
+use fit::FitView;
 use hearing::Hearing;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
-    Block, Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FrameBlock, Header, ModelClassDisplay, Name,
-    NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, StreamState, TimeGrid,
+    Block, Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FitDisplay, FitVerdict, FrameBlock, Header,
+    ModelClassDisplay, Name, NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, StreamState, TimeGrid,
 };
-use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, Step};
+use spandrel_filter::{BandLimit, Frame, NoisePhase, Step};
 use spandrel_structure::{EstimatedResponse, Excitation, Quantity, Structure};
 
 /// A gap up to this long (s) is bridged by predictions; over a longer one the motion is forgotten and the parameters stay.
@@ -36,6 +38,9 @@ const MOST_BYTES: usize = 1 << 20;
 
 /// Of so many values for people one is shown where they are thinned.
 const THINNED: u32 = 10;
+
+/// Name under which the effective number of particles is displayed, beside the noise levels.
+const EFFECTIVE_PARTICLES: &str = "effective-particles";
 
 pub use state::IdentificationState;
 
@@ -80,6 +85,8 @@ pub enum Output {
     Outliers(OutlierDisplay),
     /// The model classes at display rate, and when they change.
     Classes(ModelClassDisplay),
+    /// The verdict on the fit at display rate, and when it changes.
+    Fit(FitDisplay),
     /// Mean and standard deviation of each response that the structure file asks for, frame by frame: those of the estimates
     /// that come next. For files; they are not put on the bus.
     Responses(Vec<Vec<(f64, f64)>>),
@@ -100,6 +107,8 @@ pub struct Identification {
     mean_excitation: Vec<f64>,
     parameter_views: Vec<ParameterView>,
     noise_names: Vec<Name>,
+    /// under which name the effective number of particles is displayed; none without particles
+    effective_name: Option<Name>,
     responses: Vec<EstimatedResponse>,
     /// of the frames that are being done
     responded: Vec<Vec<(f64, f64)>>,
@@ -107,6 +116,7 @@ pub struct Identification {
     screening: Vec<ScreeningView>,
     /// `None` where there is one model
     classes: Option<ClassView>,
+    fit: FitView,
     decimation: Decimation,
     is_thinned: bool,
     /// values for people that were left out and not yet told
@@ -181,6 +191,8 @@ impl Identification {
             Name::new(name).map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })
         };
         let channels = structure.channel_count();
+        let fit = FitView::new(structure)
+            .map_err(|source| IdentifyError::Name { structure: structure.name().to_owned(), source })?;
         let band_limit = structure
             .band_limit()
             .map(|limit| BandLimit::low_pass(limit.order, limit.frequency_hz, structure.sampling_rate_hz(), channels))
@@ -214,6 +226,7 @@ impl Identification {
         Ok(Self {
             screening,
             classes: estimator.classes().map(|bank| ClassView::new(structure, bank)),
+            fit,
             structure: named(structure.name())?,
             source: source.into(),
             observation_channels: structure.observation_channels().to_vec(),
@@ -227,6 +240,9 @@ impl Identification {
             shed: 0,
             parameter_views,
             noise_names,
+            effective_name: matches!(estimator, Estimator::Particles(_))
+                .then(|| named(EFFECTIVE_PARTICLES))
+                .transpose()?,
             responses: structure.estimated_responses().to_vec(),
             responded: Vec::new(),
             estimator,
@@ -309,6 +325,12 @@ impl Identification {
         Some(view.display(&self.structure, time_ns, bank))
     }
 
+    /// Returns the verdict on the fit after the last frame; `None` where nobody judges it.
+    #[must_use]
+    pub fn fit_verdict(&self) -> Option<FitVerdict> {
+        fit::judged(&self.estimator).map(|judged| judged.verdict)
+    }
+
     /// Tells whether several model classes are compared.
     #[must_use]
     pub fn compares_classes(&self) -> bool {
@@ -323,6 +345,20 @@ impl Identification {
     /// Returns the names of the channels whose outliers are screened; none where they are not.
     pub fn screened_channels(&self) -> impl Iterator<Item = &Name> {
         self.screening.iter().map(ScreeningView::channel)
+    }
+
+    /// Returns the names under which noise levels are displayed, and of particles the effective number.
+    pub fn displayed_noise_names(&self) -> impl Iterator<Item = &Name> {
+        self.noise_names.iter().chain(&self.effective_name)
+    }
+
+    /// Returns `true` while particles have lost the state: no alert is decided on their estimates.
+    #[must_use]
+    pub fn has_lost_state(&self) -> bool {
+        match &self.estimator {
+            Estimator::Particles(particles) => particles.health().is_some_and(|health| health.is_lost()),
+            Estimator::Filter(_) | Estimator::Classes(_) => false,
+        }
     }
 
     /// Returns the names of the identified noise levels, in the order of the estimates.
@@ -404,12 +440,19 @@ impl Identification {
         if self.stream.is_some_and(|stream| self.unobserved >= stream.bridged_frames()) {
             self.estimator.forget_motion(); // what was predicted so long is no longer known
         }
+        let had_lost_state = self.has_lost_state();
         let result = self.estimator.step(frame);
         let observed = result.as_ref().is_ok_and(|step| step.used_channels > 0);
         self.unobserved = if observed { 0 } else { self.unobserved + 1 };
-        let restarted = result.is_err();
+        let beyond_recovery =
+            matches!(&self.estimator, Estimator::Particles(particles) if particles.are_beyond_recovery());
+        let restarted = result.is_err() || beyond_recovery;
         if let Err(error) = &result {
-            outputs.push(self.restart(time_ns, error));
+            outputs.push(self.restart(time_ns, &error.to_string()));
+        } else if beyond_recovery {
+            outputs.push(self.restart(time_ns, "the particles had lost the state, and did not find it again"));
+        } else {
+            self.tell_particles(time_ns, had_lost_state, outputs);
         }
         if let Ok(step) = &result {
             self.tell_noise_events(time_ns, step, outputs);
@@ -428,6 +471,7 @@ impl Identification {
                 true => self.shed += self.values_displayed(),
             }
         }
+        outputs.extend(self.fit.take_change(&self.structure, time_ns, &self.estimator).map(Output::Fit));
     }
 
     /// Bridges frames that are lost for good, or a part of them; returns the number of the first one that is left.
@@ -477,14 +521,14 @@ impl Identification {
         done
     }
 
-    fn restart(&mut self, time_ns: i64, error: &FilterError) -> Output {
+    fn restart(&mut self, time_ns: i64, why: &str) -> Output {
         self.restarts += 1;
         self.reset_band_limit();
         let what = match self.estimator.restart() {
             Ok(()) => "filter restarted from its prior".to_owned(),
             Err(refusal) => format!("filter could not be restarted: {refusal}"),
         };
-        self.event(time_ns, EventKind::Restart, &what, &error.to_string())
+        self.event(time_ns, EventKind::Restart, &what, why)
     }
 
     fn reset_band_limit(&mut self) {
@@ -517,14 +561,24 @@ impl Identification {
             normalised_innovation_squared: step.map_or(0.0, |step| step.normalised_innovation_squared),
             log_evidence: step.map_or(0.0, |step| step.log_evidence),
             used_channels: used as u16,
-            flags: EstimateFlags {
-                phase: match noise.phase {
-                    NoisePhase::Working if !self.hearing.iter().any(Hearing::is_silent) => Phase::Working,
-                    NoisePhase::Working | NoisePhase::Training => Phase::Training,
-                },
-                restarted,
-                prediction_only: used == 0,
+            flags: self.flags(restarted, used),
+        }
+    }
+
+    fn flags(&self, restarted: bool, used: usize) -> EstimateFlags {
+        let judged = fit::judged(&self.estimator);
+        EstimateFlags {
+            phase: match self.estimator.noise().phase {
+                NoisePhase::Training => Phase::Training,
+                NoisePhase::Working if self.has_lost_state() => Phase::Training,
+                NoisePhase::Working if self.hearing.iter().any(Hearing::is_silent) => Phase::ExcitationSilent,
+                NoisePhase::Working => Phase::Working,
             },
+            restarted,
+            prediction_only: used == 0,
+            fit: judged.map(|judged| judged.verdict),
+            fit_reasons: judged.map(|judged| judged.reasons).unwrap_or_default(),
+            follows_jump: judged.is_some_and(|judged| judged.follows_jump),
         }
     }
 
@@ -561,8 +615,9 @@ impl Identification {
 
     /// How many messages [`Self::display`] makes.
     fn values_displayed(&self) -> u64 {
-        let classes = usize::from(self.classes.is_some());
-        (self.parameter_views.len() + self.noise_names.len() + classes + self.screening.len()) as u64
+        let single = usize::from(self.classes.is_some()) + usize::from(self.effective_name.is_some());
+        let fit = usize::from(fit::judged(&self.estimator).is_some());
+        (self.parameter_views.len() + self.noise_names.len() + single + fit + self.screening.len()) as u64
     }
 
     fn display(&mut self, time_ns: i64, outputs: &mut Vec<Output>) {
@@ -576,7 +631,14 @@ impl Identification {
             let (mean, variance) = (noise.mean[l], noise.covariance[(l, l)]);
             outputs.push(Output::Noise(noise_display(&self.structure, name, time_ns, mean, variance)));
         }
+        if let (Estimator::Particles(particles), Some(name)) = (&self.estimator, &self.effective_name)
+            && let Some(health) = particles.health()
+        {
+            let effective = health.effective_share() * particles.count() as f64;
+            outputs.push(Output::Noise(noise_display(&self.structure, name, time_ns, effective, 0.0)));
+        }
         outputs.extend(self.class_display(time_ns).map(Output::Classes));
+        outputs.extend(self.fit.display(&self.structure, time_ns, &self.estimator).map(Output::Fit));
         if let Some(outliers) = self.estimator.outliers() {
             for (view, screen) in self.screening.iter_mut().zip(outliers.channels()) {
                 outputs.push(Output::Outliers(view.display(&self.structure, time_ns, screen)));

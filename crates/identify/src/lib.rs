@@ -5,7 +5,8 @@
 //! rate for programs and at display rate for people.
 //!
 //! - [`identification`]: the core, one structure; no clock, no network
-//! - [`estimator`]: what it runs, one filter or a bank of model classes
+//! - [`estimator`]: what it runs, one filter, a bank of model classes, or particles
+//! - [`Particles`]: particles in place of a Kalman filter, and whether they still follow the data
 //! - [`node`]: the core of a sensor node that identifies for itself, from its own channels alone
 //! - [`node_shell`]: joins such a node to the bus
 //! - [`pool`]: the threads that filters run on
@@ -26,6 +27,7 @@ mod model_classes;
 pub mod node;
 mod node_screening;
 pub mod node_shell;
+mod particles;
 mod pieces;
 pub mod pool;
 mod screening;
@@ -35,10 +37,11 @@ pub mod shell;
 mod trouble;
 
 pub use error::IdentifyError;
-pub use estimator::{Estimator, EstimatorState, ParticlePlan, Particles};
+pub use estimator::{Estimator, EstimatorState};
 pub use identification::{Identification, IdentificationState, Input, Output};
 pub use node::{NodeIdentification, NodeInput, NodeOutput, NodeState};
 pub use node_shell::NodeService;
+pub use particles::{Health, ParticleMemory, ParticlePlan, Particles};
 pub use pool::FilterPool;
 pub use seat::Precedence;
 pub use set_aside::SetAside;

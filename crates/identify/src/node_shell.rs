@@ -279,6 +279,8 @@ impl NodeService {
             pace: None,
             load: None,
             frames_behind: None,
+            fit: None,
+            undecided: BTreeMap::new(),
             state: None,
             done: core.map_or(0, NodeIdentification::done),
             drops,

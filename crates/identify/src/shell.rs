@@ -368,6 +368,8 @@ impl IdentifyService {
             state: Some(self.seat.standing()),
             load: Some(self.load.load()),
             frames_behind: self.load.behind(),
+            fit: core.and_then(Identification::fit_verdict),
+            undecided: std::collections::BTreeMap::new(),
             done: core.map_or(0, Identification::done),
             drops,
             restarts: core.map_or(0, Identification::restarts) + self.trouble.deaths(),

@@ -404,6 +404,8 @@ impl IngestService {
             pace: self.pace_heard,
             load: None,
             frames_behind: None,
+            fit: None,
+            undecided: BTreeMap::new(),
             state: None,
             done: self.done,
             drops,

@@ -10,7 +10,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tracing::{info, warn};
 
 /// Version of the layout of [`State`]: raised with every change of a field in it or below.
-const VERSION: u16 = 1;
+const VERSION: u16 = 2;
 
 #[derive(Debug, Serialize, Deserialize)]
 struct State {

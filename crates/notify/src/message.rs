@@ -2,7 +2,7 @@
 
 use crate::outbox::Notice;
 use serde_json::{Value, json};
-use spandrel_bus::{AlertMessage, AlertState};
+use spandrel_bus::{AlertMessage, AlertState, fit_in_words};
 
 /// An alert as on the bus, with its key and its time in words.
 pub(crate) fn plain(notice: &Notice) -> Value {
@@ -22,10 +22,13 @@ pub(crate) fn for_alertmanager(notice: &Notice) -> Value {
             "alertname": "SpandrelStiffnessLoss",
             "structure": alert.structure.as_str(),
             "parameter": alert.parameter.as_str(),
-            "severity": if alert.state == AlertState::Pending { "warning" } else { "critical" },
+            "severity": if matches!(alert.state, AlertState::Pending | AlertState::Undecided) { "warning" } else { "critical" },
         },
         "annotations": { "summary": alert.why, "state": alert.state.as_str(), "key": notice.key },
     });
+    if let Some(verdict) = alert.fit {
+        value["annotations"]["fit"] = json!(fit_in_words(verdict, alert.fit_reasons));
+    }
     // when it began is the same in all states, so that they are one alert
     value["startsAt"] = json!(iso_8601(alert.since_ns.unwrap_or(alert.time_ns)));
     if is_over {
@@ -62,6 +65,12 @@ fn figures(alert: &AlertMessage) -> String {
         "Rule:        more than {loss} gone with {asked} credibility; found {}",
         percent(alert.credibility)
     ));
+    if let Some(verdict) = alert.fit {
+        lines.push(format!("Fit:         {}", fit_in_words(verdict, alert.fit_reasons)));
+    }
+    if let Some(because) = alert.undecided_because {
+        lines.push(format!("Undecided:   {}", because.words()));
+    }
     if let Some(who) = &alert.acknowledged_by {
         lines.push(format!("Seen by:     {who}"));
     }
@@ -97,6 +106,11 @@ pub(crate) mod tests {
             reference_std: Some(0.0),
             acknowledged_by: None,
             why: "storey-2 has lost 12.4 % of its stiffness".to_owned(),
+            fit: None,
+            fit_reasons: spandrel_bus::FitReasons::default(),
+            follows_jump: false,
+            undecided_because: None,
+            revision: 0,
         }
     }
 

@@ -13,6 +13,9 @@ const KEYS_REMEMBERED: usize = 1_000;
 const RETRY_AFTER: (Duration, Duration) = (Duration::from_secs(2), Duration::from_secs(300));
 /// A notice that could not be sent for so long is given up.
 pub(crate) const GIVE_UP_AFTER: Duration = Duration::from_secs(24 * 3_600);
+/// A revised loss is told again once it is so many times what was told: an alert from 5 % to 100 % is then told five times at most,
+/// and a loss whose interval has only become narrower is not told again.
+const LOUDER: f64 = 2.0;
 /// How often an alert that stands is told again to receivers that want that.
 const REPEAT_EVERY: Duration = Duration::from_secs(60);
 
@@ -24,6 +27,14 @@ pub(crate) struct Wish {
     pub(crate) states: Vec<AlertState>,
     /// Whether alerts that stand are told again and again.
     pub(crate) repeats: bool,
+}
+
+impl Wish {
+    /// Whether an alert is told again and again while it stands: also where it is not confirmed, if it was told as raised.
+    fn repeats(&self, alert: &AlertMessage) -> bool {
+        let told_as = if alert.state == AlertState::Unconfirmed { AlertState::Raised } else { alert.state };
+        self.repeats && alert.stands() && (self.states.contains(&alert.state) || self.states.contains(&told_as))
+    }
 }
 
 /// One alert for one receiver.
@@ -73,6 +84,8 @@ pub(crate) struct Remembered {
     last: Vec<AlertMessage>,
     /// What has not been delivered, in the order in which it is to be.
     waiting: Vec<Undelivered>,
+    /// What was news of each alert that is not over.
+    told: Vec<AlertMessage>,
 }
 
 /// One alert that one receiver does not have yet.
@@ -97,6 +110,8 @@ pub(crate) struct Outbox {
     boxes: Vec<Receiver>,
     known: BTreeMap<Name, VecDeque<String>>,
     last: BTreeMap<Subject, AlertMessage>,
+    /// Of each alert that is not over, what was news of it last, by state.
+    told: BTreeMap<Subject, Vec<AlertMessage>>,
     /// Structures of which something has changed that is to be remembered.
     changed: BTreeSet<Name>,
     pub(crate) sent: u64,
@@ -113,10 +128,6 @@ fn subject(alert: &AlertMessage) -> Subject {
     (alert.structure.clone(), alert.parameter.clone())
 }
 
-fn stands(alert: &AlertMessage) -> bool {
-    matches!(alert.state, AlertState::Raised | AlertState::Acknowledged)
-}
-
 impl Outbox {
     pub(crate) fn new(wishes: Vec<Wish>) -> Self {
         let empty = |wish| Receiver { wish, waiting: VecDeque::new(), is_sending: false, standing: BTreeMap::new() };
@@ -124,6 +135,7 @@ impl Outbox {
             boxes: wishes.into_iter().map(empty).collect(),
             known: BTreeMap::new(),
             last: BTreeMap::new(),
+            told: BTreeMap::new(),
             changed: BTreeSet::new(),
             sent: 0,
             failures: 0,
@@ -140,16 +152,18 @@ impl Outbox {
         if is_latest {
             self.last.insert(of.clone(), alert.clone());
         }
+        let is_news = self.is_news(&of, alert);
         for (receiver, place) in self.boxes.iter_mut().enumerate() {
             let is_wished = place.wish.states.contains(&alert.state);
             if is_latest {
                 // what is over stands no longer, whoever wants to know of it
-                place.standing.remove(&of);
-                if place.wish.repeats && is_wished && stands(alert) {
-                    place.standing.insert(of.clone(), (alert.clone(), now + REPEAT_EVERY));
+                let due = place.standing.remove(&of).map(|(_, due)| due);
+                if place.wish.repeats(alert) {
+                    let next = due.filter(|_| !(is_wished && is_news)).unwrap_or(now + REPEAT_EVERY);
+                    place.standing.insert(of.clone(), (alert.clone(), next));
                 }
             }
-            if is_wished {
+            if is_wished && is_news {
                 let notice = Notice { receiver, key: key.clone(), alert: alert.clone() };
                 place.waiting.push_back(Waiting::new(notice, now, now));
                 if place.waiting.len() > MOST_WAITING {
@@ -160,6 +174,30 @@ impl Outbox {
                 }
             }
         }
+    }
+
+    /// Whether people should be told of an alert; takes note of what they are told.
+    ///
+    /// A state that was told of the same alert is told again once its loss is [`LOUDER`] times what was told.
+    fn is_news(&mut self, of: &Subject, alert: &AlertMessage) -> bool {
+        let told = self.told.entry(of.clone()).or_default();
+        let is_of_alert = |before: &AlertMessage| {
+            !alert.stands() || (before.since_ns, before.rule_loss) == (alert.since_ns, alert.rule_loss)
+        };
+        let before = told.iter().position(|before| before.state == alert.state && is_of_alert(before));
+        let loss = |alert: &AlertMessage| alert.loss.unwrap_or(0.0);
+        // a loss that was told in one state is known in the others
+        let most = told.iter().filter(|before| before.stands() && is_of_alert(before)).map(loss).fold(0.0, f64::max);
+        let is_louder = alert.stands() && loss(alert) >= LOUDER * most;
+        let is_news = before.is_none() || is_louder;
+        if !alert.stands() {
+            told.retain(|before| before.state == alert.state);
+        }
+        if is_news {
+            told.retain(|before| before.state != alert.state);
+            told.push(alert.clone());
+        }
+        is_news
     }
 
     /// Takes note of an alert that need not be told; returns its key if it is new.
@@ -198,17 +236,21 @@ impl Outbox {
             keys: self.known.get(structure).into_iter().flatten().cloned().collect(),
             last: self.last.iter().filter(|(of, _)| of.0 == *structure).map(|(_, alert)| alert.clone()).collect(),
             waiting: self.boxes.iter().flat_map(undelivered).collect(),
+            told: self.told.iter().filter(|(of, _)| of.0 == *structure).flat_map(|(_, told)| told.clone()).collect(),
         }
     }
 
     /// Goes on from what an earlier life has remembered of a structure, `away` ago. What is for a receiver that is told no longer, or not
     /// of such an alert, is given up; returns how many.
     pub(crate) fn recall(&mut self, structure: &Name, remembered: Remembered, now: Duration, away: Duration) -> usize {
-        let Remembered { keys, last, waiting } = remembered;
+        let Remembered { keys, last, waiting, told } = remembered;
+        for alert in told {
+            self.told.entry(subject(&alert)).or_default().push(alert);
+        }
         self.known.insert(structure.clone(), keys.into());
         for alert in last {
             for place in &mut self.boxes {
-                if place.wish.repeats && stands(&alert) && place.wish.states.contains(&alert.state) {
+                if place.wish.repeats(&alert) {
                     place.standing.insert(subject(&alert), (alert.clone(), now));
                 }
             }
@@ -357,11 +399,63 @@ mod tests {
         assert_eq!(sent, [(0, raised), (60, raised), (120, raised), (150, AlertState::Cleared)]);
     }
 
+    /// What is sent of these states and losses of one alert.
+    fn sent(states: &[(AlertState, f64)]) -> Vec<(AlertState, f64)> {
+        let mut outbox = outbox(false);
+        let mut sent = Vec::new();
+        for (second, (state, loss)) in (20..).zip(states) {
+            outbox.take(&AlertMessage { loss: Some(*loss), ..alert(second, *state) }, s(0));
+            while let Some(notice) = outbox.due(s(0)).pop() {
+                sent.push((notice.alert.state, notice.alert.loss.unwrap()));
+                outbox.done(notice.receiver, true, s(0));
+            }
+        }
+        sent
+    }
+
+    #[test]
+    fn revision_is_told_once_the_loss_has_doubled() {
+        use AlertState::{Acknowledged, Cleared, Raised};
+        let losses = [0.12, 0.15, 0.2, 0.25, 0.4, 0.49, 0.51].map(|loss| (Raised, loss));
+        assert_eq!(sent(&losses), [(Raised, 0.12), (Raised, 0.25), (Raised, 0.51)]);
+        let seen = [(Raised, 0.12), (Acknowledged, 0.12), (Acknowledged, 0.2), (Cleared, 0.0), (Raised, 0.12)];
+        assert_eq!(sent(&seen), [seen[0], seen[1], seen[3], seen[4]]);
+    }
+
+    #[test]
+    fn alert_that_is_confirmed_again_and_end_that_is_told_again_are_no_news() {
+        use AlertState::{Cleared, Raised, Unconfirmed};
+        let states = [Raised, Unconfirmed, Raised, Cleared, Cleared, Raised].map(|state| (state, 0.12));
+        assert_eq!(sent(&states), [states[0], states[3], states[5]]);
+    }
+
+    #[test]
+    fn what_was_told_is_no_news_in_the_next_life() {
+        let mut first = outbox(false);
+        first.take(&alert(20, AlertState::Raised), s(0));
+        let house = alert(20, AlertState::Raised).structure;
+        let mut second = outbox(false);
+        second.recall(&house, first.remembered(&house, s(0)), s(0), s(0));
+        second.take(&AlertMessage { revision: 1, ..alert(21, AlertState::Raised) }, s(0));
+        assert_eq!(second.waiting(), 1);
+    }
+
+    #[test]
+    fn an_alert_that_is_not_confirmed_is_repeated_and_a_revision_does_not_put_it_off() {
+        let mut outbox = outbox(true);
+        for (second, state) in [(20, AlertState::Raised), (50, AlertState::Raised), (70, AlertState::Unconfirmed)] {
+            outbox.take(&alert(second, state), s(second as u64));
+            outbox.due(s(second as u64)).iter().for_each(|notice| outbox.done(notice.receiver, true, s(second as u64)));
+        }
+        assert_eq!(outbox.due(s(79)), []);
+        assert_eq!(outbox.due(s(80))[0].alert.state, AlertState::Unconfirmed);
+    }
+
     #[test]
     fn what_waits_is_bounded() {
         let mut outbox = outbox(false);
         for second in 0..5_000 {
-            outbox.take(&alert(second, AlertState::Raised), s(0));
+            outbox.take(&AlertMessage { since_ns: Some(second), ..alert(second, AlertState::Raised) }, s(0));
         }
         assert_eq!((outbox.waiting(), outbox.given_up), (MOST_WAITING, 4_000));
     }
@@ -444,7 +538,7 @@ mod tests {
     fn what_is_remembered_is_bounded() {
         let mut outbox = outbox(false);
         for second in 0..5_000 {
-            outbox.take(&alert(second, AlertState::Raised), s(0));
+            outbox.take(&AlertMessage { since_ns: Some(second), ..alert(second, AlertState::Raised) }, s(0));
         }
         let remembered = outbox.remembered(&alert(0, AlertState::Raised).structure, s(0));
         assert_eq!(

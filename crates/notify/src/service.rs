@@ -283,6 +283,8 @@ impl NotifyService {
                 pace: None,
                 load: None,
                 frames_behind: None,
+                fit: None,
+                undecided: BTreeMap::new(),
                 state: None,
                 done: source.taken,
                 drops,

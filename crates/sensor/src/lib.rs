@@ -22,6 +22,7 @@
 //! # Ok::<(), spandrel_bus::NameError>(())
 //! ```
 //!
+//! - [`open_record`], [`column_mapping`]: a recording as the structure file describes it
 //! - [`Row`], [`simulated_rows`], [`recorded_rows`]: where samples come from
 //! - [`Cutter`]: rows to blocks per node; no clock, no network
 //! - [`Speed`], [`Window`]: how fast rows may be put
@@ -29,6 +30,7 @@
 //!
 //! The wrong room for a driver of real hardware: that puts its own sample blocks.
 
+mod record_source;
 mod rows;
 
 mod cut;
@@ -40,5 +42,6 @@ mod shell;
 pub use cut::{Clocks, Cutter, NodePace, NodePlan};
 pub use error::SensorError;
 pub use pace::{Speed, Window};
+pub use record_source::{column_mapping, open_record};
 pub use rows::{Row, recorded_rows, simulated_rows};
 pub use shell::{SAMPLES_KEPT, SensorService, SensorSettings, WINDOW_FRAMES};

@@ -15,13 +15,15 @@
 //! - `noise_levels`: `name`, `std` as the file states it in `unit`, whether `adapted`, `relative_std_after` (relative
 //!   deviation of the level after the data, were it adapted), `haste` (how many times faster than its half-life it moves)
 //! - `correlations`: of parameters, then noise levels, row by row, were no level known
+//! - `assumptions`: what no check can know, as words: `masses`, `damping`, `connections`, `soil`, `sensor-positions`,
+//!   `temperature`
 //! - `findings`, the most serious first: `severity` (`warning` or `note`), `kind` with the data of that kind, `text`, and
 //!   `advice`, which is `null` where the text says it all
 
 use crate::commands::counted;
 use serde::Serialize;
 use spandrel_structure::{
-    CheckReport, Finding, ModeReport, NoiseSource, ParameterReport, Severity, Structure, TimeStepReport,
+    Assumption, CheckReport, Finding, ModeReport, NoiseSource, ParameterReport, Severity, Structure, TimeStepReport,
 };
 use std::fmt;
 
@@ -50,6 +52,7 @@ pub struct CheckPage {
     noise_levels: Vec<NoiseLevelLine>,
     correlations: Vec<Vec<f64>>,
     findings: Vec<FindingLine>,
+    assumptions: Vec<Assumption>,
 }
 
 #[derive(Debug, Clone, Serialize)]
@@ -88,7 +91,7 @@ struct FindingLine {
 impl CheckPage {
     /// Lays out what `report` says of `structure`.
     pub fn new(structure: &Structure, report: CheckReport) -> Self {
-        let CheckReport { structure: name, modes, time_step, identification, findings } = report;
+        let CheckReport { structure: name, modes, time_step, identification, findings, assumptions } = report;
         let findings = findings.into_iter().map(|finding| FindingLine {
             severity: finding.severity(),
             text: finding.to_string(),
@@ -111,6 +114,7 @@ impl CheckPage {
             noise_levels: Vec::new(),
             correlations: Vec::new(),
             findings,
+            assumptions,
         };
         if let Some(identification) = identification {
             page.after_s = Some(identification.duration_s);
@@ -159,6 +163,14 @@ fn deviation(value: f64) -> String {
 
 /// What the findings mean for one parameter, the worst of them.
 fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
+    // what no record makes better comes before what takes longer
+    let rests = findings.iter().find_map(|line| match &line.finding {
+        Finding::RestsOnExcitation { parameter: of, excitations, .. } if of == parameter => Some(excitations),
+        _ => None,
+    });
+    if let Some(excitations) = rests {
+        return format!("rests on {excitations}");
+    }
     let verdicts = findings.iter().filter_map(|line| match &line.finding {
         Finding::Uninformed { parameter: of, .. } if of == parameter => Some("not identified".to_owned()),
         Finding::ParametersConfounded { first, second, .. } if first == parameter => {
@@ -173,6 +185,15 @@ fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
         }),
         Finding::SlowToSettle { parameter: of, .. } if of == parameter => Some("slow".to_owned()),
         Finding::NotObservable
+        | Finding::RestsOnExcitation { .. }
+        | Finding::LevelAssumed { .. }
+        | Finding::DampingAssumed { .. }
+        | Finding::HoldMatters { .. }
+        | Finding::ImplausiblePeriod { .. }
+        | Finding::UnequalStoreys { .. }
+        | Finding::LightFloors { .. }
+        | Finding::ImplausibleLevel { .. }
+        | Finding::NoiseAboveSignal { .. }
         | Finding::Uninformed { .. }
         | Finding::ParametersConfounded { .. }
         | Finding::LevelConfounded { .. }
@@ -181,6 +202,9 @@ fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
         | Finding::BandLimited { .. }
         | Finding::AliasedModes { .. }
         | Finding::SubstepsNeeded { .. }
+        | Finding::ParticlesInTime { .. }
+        | Finding::ParticlesTooSlow { .. }
+        | Finding::ParticlesTooFew { .. }
         | Finding::ModesMissMass { .. } => None,
     });
     verdicts.reduce(|worst, _| worst).unwrap_or_else(|| "identified".to_owned())
@@ -210,10 +234,34 @@ fn advice(structure: &Structure, finding: &Finding) -> Option<String> {
         Finding::SlowToSettle { parameter, .. } => {
             Some(format!("put a sensor that tells more of {parameter}, or ask its alert rule for a longer sustain-s"))
         }
+        Finding::RestsOnExcitation { parameter, excitations, .. } => Some(format!(
+            "measure {excitations} on a channel (measured-on), or judge {parameter} by nothing smaller than that"
+        )),
+        Finding::LevelAssumed { .. } => {
+            Some("let the level be identified (leave out adapt), or state that it is known (level-factor = 1)".to_owned())
+        }
+        Finding::DampingAssumed { .. } => Some(
+            "identify it by a [[parameter]] with scales = \"damping\" and of = \"all\", or state that it is known (known = \
+             true in [damping])"
+                .to_owned(),
+        ),
+        Finding::HoldMatters { delay_s, .. } if *delay_s > 0.0 => Some(
+            "leave out input-hold unless something really holds the excitation, as a simulation does; or sample faster"
+                .to_owned(),
+        ),
+        Finding::HoldMatters { .. } => Some("sample faster, or limit the band that is used ([band-limit])".to_owned()),
         Finding::HastyLevel { .. }
+        | Finding::ImplausiblePeriod { .. }
+        | Finding::UnequalStoreys { .. }
+        | Finding::LightFloors { .. }
+        | Finding::ImplausibleLevel { .. }
+        | Finding::NoiseAboveSignal { .. }
         | Finding::BandLimited { .. }
         | Finding::AliasedModes { .. }
         | Finding::SubstepsNeeded { .. }
+        | Finding::ParticlesInTime { .. }
+        | Finding::ParticlesTooSlow { .. }
+        | Finding::ParticlesTooFew { .. }
         | Finding::ModesMissMass { .. } => None,
     }
 }
@@ -353,7 +401,8 @@ impl CheckPage {
             f.write_str("nothing to warn of")?;
             f.write_str(if self.parameters.is_empty() { "\n" } else { ": these sensors tell all parameters apart\n" })?;
         }
-        Ok(())
+        writeln!(f, "\nall this holds if the model is right; what no check can know:\n")?;
+        self.assumptions.iter().try_for_each(|assumption| writeln!(f, "  {assumption}"))
     }
 
     /// One JSON object on one line.
@@ -416,17 +465,24 @@ mod tests {
     fn without_a_sensor_at_the_ground_storey_1_and_its_level_are_named_with_what_to_do() {
         let text = page(OUTPUT_ONLY).to_string();
         let mut lines = text.lines();
-        let finding = lines.find(|line| line.contains("storey-1 and the level of ground"));
+        let finding = lines.find(|line| line.contains("storey-1 rests on the level and the colour of ground"));
         assert!(finding.is_some(), "{text}");
         assert!(lines.next().is_some_and(|line| line.contains("measure ground on a channel")), "{text}");
-        assert!(text.contains("rests on the level of ground"), "{text}");
+        assert!(text.contains("  rests on ground"), "{text}");
+        assert!(text.contains("all this holds if the model is right"), "{text}");
     }
 
     #[test]
-    fn adapting_a_level_that_cannot_be_told_from_a_parameter_is_a_warning() {
-        let text = page(&OUTPUT_ONLY.replace("adapt = false", "adapt = true")).to_string();
-        assert!(text.contains("warning: storey-1 and the level of ground"), "{text}");
-        assert!(text.contains("not apart from the level of ground"), "{text}");
+    fn a_fixed_damping_and_a_fixed_level_are_warnings_with_figures() {
+        let file = OUTPUT_ONLY.replace("level-factor = 3 ", "adapt = false #");
+        let (before, after) = file.split_once("[[parameter]]\nname = \"damping\"").unwrap();
+        let (_, after) = after.split_once("[[excitation]]").unwrap();
+        let text = page(&format!("{before}[[excitation]]{after}")).to_string();
+        assert!(
+            text.contains("warning: damping is fixed; if it is 2 times as large, or as small: storey-1 "),
+            "{text}"
+        );
+        assert!(text.contains("warning: the level of ground is stated and not identified; "), "{text}");
     }
 
     #[test]
@@ -439,11 +495,12 @@ mod tests {
         }
         assert_eq!(json["parameters"][0]["name"], "storey-1");
         assert_eq!(json["noise_levels"][0]["unit"], "m/s2");
-        assert_eq!(json["modes"][0]["sensitivity"].as_array().map(Vec::len), Some(5));
+        assert_eq!(json["modes"][0]["sensitivity"].as_array().map(Vec::len), Some(6));
         let findings = json["findings"].as_array().unwrap();
-        let rests = |f: &&serde_json::Value| f["kind"] == "level-confounded" && f["parameter"] == "storey-1";
+        let rests = |f: &&serde_json::Value| f["kind"] == "rests-on-excitation" && f["parameter"] == "storey-1";
         let finding = findings.iter().find(rests).unwrap_or_else(|| panic!("{json}"));
-        assert_eq!((&finding["severity"], &finding["level"]), (&"note".into(), &"ground".into()));
+        assert_eq!((&finding["severity"], &finding["excitations"]), (&"warning".into(), &"ground".into()));
+        assert_eq!(json["assumptions"][0], "masses");
         assert!(finding["text"].is_string() && finding["advice"].is_string());
     }
 }

@@ -5,6 +5,7 @@ use spandrel_access::Role;
 use spandrel_filter::ImportanceDensity;
 use spandrel_identify::ParticlePlan;
 use spandrel_record::{ReadOptions, TimeUnit};
+use spandrel_validate::Seeds;
 use std::path::PathBuf;
 
 /// Watches over bridges and buildings in real time.
@@ -101,7 +102,8 @@ pub enum Command {
     Convert(ConvertArguments),
     /// Rebuild the published examples of the method, and compare with the published figures.
     #[command(after_help = "Examples: spandrel validate --quick\n          \
-                      spandrel validate ekf.bridge outlier --seeds 3 --report validation")]
+                      spandrel validate outlier.oscillator --seed 17 --seed 5\n          \
+                      spandrel validate ekf.bridge outlier --seeds 101..105 --report validation")]
     Validate(ValidateArguments),
     /// Measure how many structures this machine can watch in real time, and how late it is.
     #[command(after_help = "Examples: spandrel bench --structures 100\n          \
@@ -503,8 +505,8 @@ pub struct EstimateArguments {
     /// Sound values for alert rules that would learn them.
     #[arg(long, value_name = "BASELINE.json")]
     pub baseline: Option<PathBuf>,
-    /// What identifies: the filter of the services, or particles, which are slow and take nothing for Gaussian.
-    #[arg(long, value_enum, default_value_t = FilterChoice::Kalman)]
+    /// What identifies.
+    #[arg(long, value_enum, default_value_t = FilterChoice::File)]
     pub filter: FilterChoice,
     /// End with one JSON object.
     #[arg(long)]
@@ -516,9 +518,11 @@ pub struct EstimateArguments {
 /// The filters of `spandrel estimate`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum FilterChoice {
-    /// The adaptive extended Kalman filter, or the bank of model classes, as the structure file says.
+    /// What the structure file asks for, as the services run it.
+    File,
+    /// The adaptive extended Kalman filter, or the bank of model classes, also where the file asks for particles.
     Kalman,
-    /// A particle filter of the model with all parameters.
+    /// A particle filter of the model with all parameters: slow, and takes nothing for Gaussian.
     Particle,
 }
 
@@ -600,6 +604,10 @@ pub struct BaselineArguments {
     /// Seconds at the start of each recording that are left out while the filter finds its way.
     #[arg(long, default_value_t = 10.0, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub skip: f64,
+    /// Standard deviation of each parameter between records, ratio to nominal, where it is known: a single recording shows none
+    /// [default: estimated from the recordings].
+    #[arg(long, value_name = "RATIO", value_parser = not_negative, allow_negative_numbers = true)]
+    pub between_std: Option<f64>,
     /// Where to write the sound values.
     #[arg(long, value_name = "BASELINE.json")]
     pub output: PathBuf,
@@ -629,9 +637,16 @@ pub struct ValidateArguments {
     /// Shortened records, with the figures that hold for them.
     #[arg(long)]
     pub quick: bool,
-    /// Run each case for the seeds 1 to N.
-    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
-    pub seeds: u64,
+    /// Run each case for this seed; may be repeated [default: 1].
+    #[arg(long, value_name = "N", conflicts_with = "seeds")]
+    pub seed: Vec<u64>,
+    /// Run each case for the seeds of a range that includes both ends: 4..8 stands for 4, 5, 6, 7, 8. A number N stands for
+    /// 1..N.
+    #[arg(long, value_name = "FIRST..LAST")]
+    pub seeds: Option<Seeds>,
+    /// Identify the records of real structures below DIR instead of running cases, and print what Spandrel says of them.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["cases", "quick", "seed", "seeds", "report", "list"])]
+    pub records: Option<PathBuf>,
     /// Cases at the same time [default: one for each core].
     #[arg(long, value_name = "N")]
     pub jobs: Option<usize>,
@@ -728,6 +743,28 @@ mod tests {
         assert_eq!((plan.settings.particles, plan.settings.seed, plan.settings.kernel), (2000, 0, 1.0));
         assert_eq!((plan.drift_per_root_s, plan.warm_up_s), (0.005, 2.0));
         assert_eq!(arguments.particle.given(), None);
+    }
+
+    #[test]
+    fn seeds_are_single_ones_or_a_range_but_not_both() {
+        let parse = |options: &[&str]| {
+            let words = ["spandrel", "validate"].iter().chain(options);
+            Arguments::try_parse_from(words).map(|arguments| match arguments.command {
+                Command::Validate(arguments) => (arguments.seed, arguments.seeds),
+                _ => panic!("another command"),
+            })
+        };
+        assert_eq!(parse(&["--seed", "17", "--seed", "5"]).unwrap(), (vec![17, 5], None));
+        let (single, range) = parse(&["--seeds", "4..8"]).unwrap();
+        assert_eq!((single, range.unwrap().iter().collect::<Vec<_>>()), (Vec::new(), vec![4, 5, 6, 7, 8]));
+        for (options, told) in [
+            (&["--seeds", "8..4"][..], "the range 8..4 is empty"),
+            (&["--seed", "17", "--seeds", "4..8"], "cannot be used with"),
+            (&["--seed", "many"], "invalid digit"),
+        ] {
+            let error = parse(options).unwrap_err().to_string();
+            assert!(error.contains(told), "{error}");
+        }
     }
 
     #[test]

@@ -33,7 +33,7 @@ pub fn fuse(
         fusion: Fusion::new(structure, "fuse", EPOCH)?,
         workers: workers.collect::<Result<_, _>>()?,
         watch: Watch::new(structure, baseline)?,
-        collector: Collector::new(structure),
+        collector: Collector::new(structure).with_baseline(baseline),
         start_ns: None,
         local: VecDeque::new(),
     };
@@ -54,6 +54,7 @@ pub fn fuse(
         network.work(node, NodeInput::Samples(block));
         network.settle(&mut take)?;
     }
+    network.collector.take_decided(&network.watch);
     Ok(network.collector)
 }
 

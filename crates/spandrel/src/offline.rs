@@ -35,7 +35,7 @@ pub fn identify(
     let nodes = NodePlan::of(structure, Clocks::Right).map_err(SensorError::from)?;
     let mut chain = Chain {
         alignment: Alignment::new(layout, "ingest".to_owned(), 1),
-        collector: Collector::new(structure),
+        collector: Collector::new(structure).with_baseline(baseline),
         identification,
         watch: Watch::new(structure, baseline)?,
         channels: structure.channels().map(|channel| channel.name().to_owned()).collect(),
@@ -70,6 +70,7 @@ pub fn identify(
     if let Estimator::Particles(particles) = chain.identification.estimator() {
         chain.collector.take_effective_share(particles.effective_share());
     }
+    chain.collector.take_decided(&chain.watch);
     Ok(chain.collector)
 }
 
@@ -116,7 +117,7 @@ impl Chain {
                 }
                 Output::Event(event) => spandrel_identify::log_event(&event, self.start_ns),
                 Output::Classes(display) => self.collector.take_classes(&display),
-                Output::Parameter(_) | Output::Noise(_) | Output::Outliers(_) => {} // for people who watch a bus
+                Output::Parameter(_) | Output::Noise(_) | Output::Outliers(_) | Output::Fit(_) => {} // for people who watch a bus
             }
         }
         for alert in self.alerts.drain(..) {

@@ -1,10 +1,6 @@
-//! Opens a recording as the structure file says: columns, units, offsets, rate.
+//! The length of a recording before it is read, for a progress bar.
 
-use crate::error::AppError;
-use spandrel_record::{
-    ChannelColumn, ColumnMapping, Format, OffsetRemoval, Recording, Resampling, TimeSource, TimeUnit,
-};
-use spandrel_structure::{Quantity, Structure};
+use spandrel_record::Format;
 use std::io::Read;
 use std::path::Path;
 
@@ -23,63 +19,4 @@ pub fn expected_rows(path: &Path) -> Option<u64> {
     }
     let rows = head.iter().filter(|byte| **byte == b'\n').count() as u64;
     (rows > 0).then(|| (rows as f64 * (size as f64 / head.len() as f64)) as u64)
-}
-
-/// Returns where each channel of a structure stands in its recordings, and in which unit.
-///
-/// # Errors
-/// When a calibration is no number that can be undone.
-pub fn mapping(structure: &Structure) -> Result<ColumnMapping, AppError> {
-    let map = structure.record();
-    let columns = structure
-        .channels()
-        .zip(map.columns())
-        .map(|(channel, column)| {
-            // the structure file has already turned its unit into the factor
-            let mapped = ChannelColumn::new(channel.name())
-                .with_column(column.column())
-                .with_calibration(column.factor(), column.offset())?;
-            Ok(if column.states_unit() { mapped } else { mapped.in_unit_of_file(quantity(channel.quantity())) })
-        })
-        .collect::<Result<Vec<_>, AppError>>()?;
-    let time = match map.time_column() {
-        "" => TimeSource::Counted { rate_hz: structure.sampling_rate_hz() },
-        name => {
-            let unit = TimeUnit::of_symbol(map.time_unit()).unwrap_or(TimeUnit::Seconds);
-            TimeSource::Column { name: name.to_owned(), unit }
-        }
-    };
-    Ok(ColumnMapping::new(columns).with_time(time))
-}
-
-/// The quantity of a channel as recordings know it: they do not say what an acceleration is relative to.
-fn quantity(of_channel: Quantity) -> spandrel_record::Quantity {
-    match of_channel {
-        Quantity::AbsoluteAcceleration
-        | Quantity::RelativeAcceleration
-        | Quantity::RestoringAcceleration
-        | Quantity::GroundAcceleration => spandrel_record::Quantity::Acceleration,
-        Quantity::Force => spandrel_record::Quantity::Force,
-        Quantity::Velocity => spandrel_record::Quantity::Velocity,
-        Quantity::Displacement => spandrel_record::Quantity::Displacement,
-        Quantity::Strain => spandrel_record::Quantity::Strain,
-    }
-}
-
-/// Opens `path` for `structure`, resamples it if the structure file says so, and checks that it has the structure's rate.
-///
-/// # Errors
-/// When the file cannot be read, lacks columns or has another rate; it names what it has.
-pub fn open(structure: &Structure, path: &Path) -> Result<Recording, AppError> {
-    let offset = match structure.record().remove_offset_s() {
-        seconds if seconds > 0.0 => OffsetRemoval::MeanOfFirst { seconds },
-        _ => OffsetRemoval::Keep,
-    };
-    let resampling = match structure.record().resamples() {
-        true => Resampling::To { rate_hz: structure.sampling_rate_hz() },
-        false => Resampling::None,
-    };
-    let recording = Recording::open_resampled(path, &mapping(structure)?, offset, resampling)?;
-    recording.check_sampling_rate(structure.sampling_rate_hz())?;
-    Ok(recording)
 }

@@ -87,9 +87,16 @@ pub fn tell_unused_baseline(structure: &Structure, baseline: &Baseline, path: &P
         let known: Vec<&str> = names().collect();
         warn!("{path}: has no parameters of {}: {}; it has {}", structure.name(), unknown.join(", "), known.join(", "));
     }
-    let missing: Vec<&str> = learning.into_iter().filter(|name| baseline.reference(name).is_none()).collect();
-    if !missing.is_empty() {
-        warn!("{path}: lacks {}, which will be learnt from the first data", missing.join(", "));
+    if baseline.is_old_file() {
+        let records = baseline.records();
+        warn!("{path}: of version 1; its scatter between records is taken as estimated from {records}");
+    }
+    for name in learning {
+        match baseline.claim(name) {
+            None => warn!("{path}: lacks {name}, which will be learnt from the first data"),
+            Some(Err(error)) => warn!("{path}: {name} will be learnt from the first data: {error}"),
+            Some(Ok(_)) => {}
+        }
     }
 }
 

@@ -1,6 +1,8 @@
 //! What a run ends with: the last estimates, and the alerts on the way.
 
 mod classes;
+mod decided;
+mod fit;
 mod nodes;
 mod noise;
 mod ordered;
@@ -8,14 +10,18 @@ mod text;
 
 use classes::ClassCollector;
 pub use classes::ClassSummary;
+pub use decided::DecidedSummary;
+use fit::FitCollector;
+pub use fit::FitSummary;
 use nodes::NodeCollector;
 pub use nodes::NodeSummary;
 pub use noise::{NoiseLevelSummary, StatedLevel};
 pub use ordered::Ordered;
 use serde::Serialize;
-use spandrel_alert::Alert;
+use spandrel_alert::{Alert, Baseline, DecidedFrames, ParameterEstimate, Watch};
 use spandrel_bus::{
-    AlertMessage, AlertState, EstimateBlock, FrameBlock, ModelClassDisplay, NodeDisplay, OutlierDisplay, Phase,
+    AlertMessage, AlertState, CredibleInterval, EstimateBlock, FrameBlock, ModelClassDisplay, NodeDisplay,
+    OutlierDisplay, Phase,
 };
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
@@ -26,14 +32,18 @@ pub struct Summary {
     /// Frames identified.
     pub frames: u64,
     /// The last estimate of each parameter in file order, ratio to nominal.
-    pub parameters: Ordered<Level>,
+    pub parameters: Ordered<ParameterSummary>,
     /// Alerts that were raised, acknowledged or cleared, in order.
     pub alerts: Vec<AlertSummary>,
     /// The last estimate of each adapted noise level in file order, beside what the file states.
     pub noise: Ordered<NoiseLevelSummary>,
-    /// Mean of the normalised innovation squared per channel used, 1 when model and noise levels explain the data, once the
-    /// noise levels are trained and the start-up aid has faded; none before, and without innovations. Adapted noise levels
-    /// come to explain whatever a wrong model leaves, so that it is no test of the model where they are.
+    /// The verdict on the fit; none where nobody judges it.
+    pub fit: Option<FitSummary>,
+    /// Share of the time in which alerts of each watched parameter were decided, in file order.
+    pub decided: Ordered<DecidedSummary>,
+    /// Mean of the normalised innovation squared per channel used, once the noise levels are trained and the start-up aid has
+    /// faded; none before, and without innovations. About 1 says that the noise has the size that was found, and nothing of the
+    /// model: the fit does.
     pub misfit: Option<f64>,
     /// What people should look into.
     pub warnings: Vec<String>,
@@ -81,18 +91,34 @@ pub struct Level {
     pub std: f64,
 }
 
+/// What is known of a parameter at the end: within this record, and for this structure.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ParameterSummary {
+    pub mean: f64,
+    pub std: f64,
+    /// Interval of 95 % within this record.
+    pub within: CredibleInterval,
+    /// Interval of 95 % for this structure, with the scatter between records of the baseline; none without a baseline of
+    /// several records.
+    pub for_this_structure: Option<CredibleInterval>,
+}
+
 /// One change of an alert.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AlertSummary {
     /// The parameter.
     pub parameter: String,
-    /// `raised`, `acknowledged` or `cleared`.
+    /// `raised`, `unconfirmed`, `acknowledged` or `cleared`.
     pub state: AlertState,
     /// Measurement time since the first frame (s).
     pub time_s: f64,
-    /// Loss found, a share of the reference.
+    /// Loss found at that time, a share of the reference.
+    pub loss_at_first: f64,
+    /// How often the loss was revised since.
+    pub revisions: u32,
+    /// Loss found last, a share of the reference.
     pub loss: f64,
-    /// Probability that the loss is more than the rule asks about.
+    /// Probability found last that the loss is more than the rule asks about.
     pub credibility: f64,
     /// The alert in words.
     pub why: String,
@@ -111,10 +137,15 @@ pub struct Collector {
     nodes: NodeCollector,
     last: Option<spandrel_bus::Estimate>,
     alerts: Vec<(i64, AlertSummary)>,
+    fit: FitCollector,
+    decided: Vec<(usize, DecidedFrames)>,
+    /// Why nothing is decided at the end, by parameter.
+    undecided: BTreeMap<String, String>,
     /// sum of the normalised innovations squared, and of the channels used
     misfit: (f64, f64),
     samples: Option<Samples>,
     effective_share: Option<f64>,
+    baseline: Option<Baseline>,
 }
 
 impl Collector {
@@ -131,10 +162,19 @@ impl Collector {
             nodes: NodeCollector::new(structure),
             last: None,
             alerts: Vec::new(),
+            fit: FitCollector::default(),
+            decided: Vec::new(),
+            undecided: BTreeMap::new(),
             misfit: (0.0, 0.0),
             samples: None,
             effective_share: None,
+            baseline: None,
         }
+    }
+
+    /// States the intervals for the structure by the scatter between the records of a baseline.
+    pub fn with_baseline(self, baseline: Option<&Baseline>) -> Self {
+        Self { baseline: baseline.cloned(), ..self }
     }
 
     /// Takes the mean share of particles that counted.
@@ -152,9 +192,10 @@ impl Collector {
         self.t0_ns.get_or_insert(block.t0_ns);
         self.frames += block.estimates.len() as u64;
         for estimate in &block.estimates {
+            self.fit.take(&estimate.flags);
             let (annealed, since_start) = &mut self.annealing;
             *since_start = if estimate.flags.restarted { 0 } else { *since_start + 1 };
-            // the start-up aid distrusts the sensors, and the training their noise; and particles have no innovations
+            // the start-up aid distrusts the sensors, and the training their noise; a frame without a channel has no innovation
             if estimate.flags.phase == Phase::Working
                 && *since_start > *annealed
                 && estimate.innovations.iter().any(|innovation| innovation.is_finite())
@@ -183,16 +224,27 @@ impl Collector {
         self.nodes.take_outliers(display);
     }
 
+    /// Takes how many frames were decided on.
+    pub fn take_decided(&mut self, watch: &Watch) {
+        self.decided = watch.decided_shares().into_iter().collect();
+    }
+
     /// Takes a change of an alert from the bus.
     pub fn take_message(&mut self, message: &AlertMessage) {
-        self.take(
-            message.parameter.to_string(),
-            message.state,
-            message.time_ns,
-            message.loss,
-            message.credibility,
-            &message.why,
-        );
+        let parameter = message.parameter.to_string();
+        let because = message.undecided_because.map(|_| message.why.as_str());
+        self.note_undecided(&parameter, because);
+        let told = |loss| AlertSummary {
+            parameter,
+            state: message.state,
+            time_s: 0.0,
+            loss_at_first: loss,
+            revisions: message.revision,
+            loss,
+            credibility: message.credibility,
+            why: message.why.clone(),
+        };
+        self.take(message.time_ns, message.loss.map(told));
     }
 
     /// Takes a change of an alert from the core.
@@ -200,32 +252,46 @@ impl Collector {
         let Some(parameter) = self.parameters.get(alert.parameter).cloned() else {
             return; // the core knows no other parameters
         };
-        let loss = alert.loss.map(|estimate| estimate.loss);
-        let credibility = alert.probability_of_loss;
-        self.take(parameter, alert.state, alert.estimate.time_ns, loss, credibility, &alert.why);
+        let because = alert.undecided_because.map(|_| alert.why.as_str());
+        self.note_undecided(&parameter, because);
+        let told = |loss| AlertSummary {
+            parameter,
+            state: alert.state,
+            time_s: 0.0,
+            loss_at_first: loss,
+            revisions: alert.revision,
+            loss,
+            credibility: alert.probability_of_loss,
+            why: alert.why.clone(),
+        };
+        self.take(alert.estimate.time_ns, alert.loss.map(|estimate| told(estimate.loss)));
     }
 
-    fn take(
-        &mut self,
-        parameter: String,
-        state: AlertState,
-        time_ns: i64,
-        loss: Option<f64>,
-        credibility: f64,
-        why: &str,
-    ) {
-        // what is pending or normal wakes nobody
-        let tells = matches!(state, AlertState::Raised | AlertState::Acknowledged | AlertState::Cleared);
-        let (true, Some(loss)) = (tells, loss) else {
-            return;
+    fn note_undecided(&mut self, parameter: &str, why: Option<&str>) {
+        match why {
+            Some(why) => drop(self.undecided.insert(parameter.to_owned(), why.to_owned())),
+            None => drop(self.undecided.remove(parameter)),
+        }
+    }
+
+    fn take(&mut self, time_ns: i64, told: Option<AlertSummary>) {
+        // what is pending, normal or undecided wakes nobody
+        let tells = |told: &AlertSummary| {
+            let states = [AlertState::Raised, AlertState::Unconfirmed, AlertState::Acknowledged, AlertState::Cleared];
+            states.contains(&told.state)
         };
-        let summary = AlertSummary { parameter, state, time_s: 0.0, loss, credibility, why: why.to_owned() };
-        let known = self
-            .alerts
-            .iter()
-            .any(|(at, other)| *at == time_ns && other.parameter == summary.parameter && other.state == summary.state);
-        if !known {
-            self.alerts.push((time_ns, summary));
+        let Some(told) = told.filter(tells) else { return };
+        let is_same = |other: &AlertSummary| other.parameter == told.parameter && other.state == told.state;
+        if told.revisions > 0
+            && let Some((_, last)) = self.alerts.iter_mut().rev().find(|(_, other)| is_same(other))
+        {
+            if told.revisions > last.revisions {
+                *last = AlertSummary { loss_at_first: last.loss_at_first, ..told };
+            }
+            return;
+        }
+        if !self.alerts.iter().any(|(at, other)| *at == time_ns && is_same(other)) {
+            self.alerts.push((time_ns, told));
         }
     }
 
@@ -241,7 +307,12 @@ impl Collector {
         let (mut parameters, mut noise) = (Ordered::default(), Ordered::default());
         if let Some(last) = &self.last {
             for (index, (name, mean)) in self.parameters.iter().zip(&last.mean).enumerate() {
-                parameters.push(name.clone(), level(*mean, last.variance(index).unwrap_or(0.0)));
+                let Level { mean, std } = level(*mean, last.variance(index).unwrap_or(0.0));
+                let estimate = ParameterEstimate { time_ns: 0, mean, std };
+                let baseline = self.baseline.as_ref();
+                let for_this_structure = baseline.and_then(|baseline| baseline.for_structure(name, &estimate));
+                let within = estimate.interval();
+                parameters.push(name.clone(), ParameterSummary { mean, std, within, for_this_structure });
             }
             for (stated, (mean, variance)) in self.noise.iter().zip(last.noise_mean.iter().zip(&last.noise_covariance))
             {
@@ -249,7 +320,15 @@ impl Collector {
             }
         }
         let warnings = self.noise.iter().zip(noise.values()).filter_map(|(stated, found)| stated.warning(found));
+        let fit = self.fit.finish();
+        let warnings = warnings.chain(fit.as_ref().and_then(FitSummary::warning)).chain(self.undecided.into_values());
         let warnings = warnings.collect();
+        let mut decided = Ordered::default();
+        for (parameter, frames) in &self.decided {
+            if let (Some(name), Some(summary)) = (self.parameters.get(*parameter), DecidedSummary::of(frames)) {
+                decided.push(name.clone(), summary);
+            }
+        }
         let alerts = self
             .alerts
             .into_iter()
@@ -261,6 +340,8 @@ impl Collector {
             parameters,
             alerts: alerts.collect(),
             noise,
+            fit,
+            decided,
             misfit,
             warnings,
             classes: self.classes.finish(t0_ns),

@@ -74,7 +74,7 @@ fn missing_and_discarded_samples_and_the_misfit_are_told() {
     for part in [
         "missing samples: floor-3 50, floor-5 2",
         "discarded: out-of-range-values 2",
-        "per channel (1 when the noise that was found",
+        "fit supported at the end (the data support the model); supported 9",
     ] {
         assert!(text.contains(part), "{part} is not in\n{text}");
     }
@@ -93,7 +93,8 @@ fn particles_agree_with_the_kalman_filter_where_there_are_few_states() {
     for seed in ["1", "2", "3"] {
         let options = ["--filter", "particle", "--particles", "500", "--seed", seed];
         let particle = summary(&structure, &record, &options);
-        assert!(particle["misfit"].is_null() && particle["effective_share"].as_f64().unwrap() > 0.1);
+        let misfit = particle["misfit"].as_f64().unwrap();
+        assert!((misfit - 1.0).abs() < 0.2 && particle["effective_share"].as_f64().unwrap() > 0.1, "misfit {misfit}");
         for name in ["theta-1", "theta-2", "theta-4"] {
             let ((mean, std), (yardstick, its_std)) = (level(&kalman, name), level(&particle, name));
             println!("seed {seed}: {name} {mean:.4} ± {std:.4}, particles {yardstick:.4} ± {its_std:.4}");
@@ -222,7 +223,7 @@ fn particles_of_a_large_model_come_with_a_warning() {
     simulate(&structure, &record, "3");
     let output = estimate(&structure, &record, &["--filter", "particle", "--particles", "10"]);
     let log = String::from_utf8(output.stderr).unwrap();
-    assert!(log.contains("15 states and parameters"), "{log}");
+    assert!(log.contains("16 states and parameters"), "{log}");
     let output = spandrel(&["estimate", "demo.toml", "--record", "demo.csv", "--particles", "1"]);
     assert_eq!(output.status.code(), Some(2));
 }

@@ -55,6 +55,11 @@ impl Site {
             reference_std: Some(0.0),
             acknowledged_by: None,
             why: "storey-2 has lost 14 %".to_owned(),
+            fit: None,
+            fit_reasons: spandrel_bus::FitReasons::default(),
+            follows_jump: false,
+            undecided_because: None,
+            revision: 0,
         };
         let alerts = self.bus.publish_latest(self.keys.alert(&alert.parameter)).await.unwrap();
         alerts.put(&alert).await.unwrap();

@@ -8,14 +8,14 @@
 mod by_operator;
 
 use by_operator::ByOperator;
-use spandrel_filter::{ExtendedKalmanFilter, Frame, ObservationModel, ProcessModel};
+use spandrel_filter::{ExtendedKalmanFilter, FilterSettings, Frame, ObservationModel, ProcessModel};
 use spandrel_structure::Structure;
 use std::error::Error;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 const EXAMPLES: [&str; 5] = ["demo", "high-rise", "three-pier-bridge", "fourteen-bay-truss", "tower"];
-const FRAMES: usize = 300;
+const FRAMES: usize = 1500;
 const LONGEST: Duration = Duration::from_secs(10);
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -25,15 +25,24 @@ fn main() -> Result<(), Box<dyn Error>> {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples").join(&name).with_extension("toml");
         let structure = Structure::read(&path)?;
         let n = structure.model().state_len();
-        let by_structure = median_step(&structure, structure.model())?;
-        let by_operator = median_step(&structure, ByOperator(structure.model()))?;
-        println!("{name}, n = {n}: {by_structure:?}, by operator {by_operator:?}");
+        let settings = structure.filter_settings()?;
+        let trusting = FilterSettings { misfit: None, ..settings.clone() };
+        let by_structure = median_step(&structure, structure.model(), settings.clone())?;
+        let without_misfit = median_step(&structure, structure.model(), trusting)?;
+        let by_operator = median_step(&structure, ByOperator(structure.model()), settings)?;
+        println!(
+            "{name}, n = {n}: {by_structure:?}, without the measure of misfit {without_misfit:?}, by operator {by_operator:?}"
+        );
     }
     Ok(())
 }
 
-fn median_step(structure: &Structure, model: impl ProcessModel + ObservationModel) -> Result<Duration, Box<dyn Error>> {
-    let mut filter = ExtendedKalmanFilter::new(model, structure.filter_settings()?)?;
+fn median_step(
+    structure: &Structure,
+    model: impl ProcessModel + ObservationModel,
+    settings: FilterSettings,
+) -> Result<Duration, Box<dyn Error>> {
+    let mut filter = ExtendedKalmanFilter::new(model, settings)?;
     let mut times = Vec::new();
     for frame in structure.simulator(1).take(FRAMES) {
         let observations: Vec<f64> = structure.observation_channels().iter().map(|c| frame.values[*c]).collect();

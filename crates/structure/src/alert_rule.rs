@@ -22,14 +22,12 @@ pub struct AlertRule {
 /// The value a loss is counted from.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Reference {
-    /// As designed: 1, known exactly.
-    Design,
     /// Learnt from the estimates of the first seconds.
     Baseline {
         /// How long to learn (s).
         learn_s: f64,
     },
-    /// Given by the owner (ratios to nominal), an entry per watched parameter.
+    /// Given by the owner (ratios to nominal), an entry per watched parameter; the design is 1 with its deviation.
     Given {
         /// Mean of the reference.
         mean: Vec<f64>,
@@ -54,7 +52,7 @@ impl Structure {
         let reference = match rule.map(|(rule, position)| (&rule.reference, position)) {
             Some((Reference::Given { mean, .. }, position)) => mean.get(position).copied().unwrap_or(1.0),
             // a baseline is learnt by the alert service; until then a loss is counted from the design
-            Some((Reference::Design | Reference::Baseline { .. }, _)) | None => 1.0,
+            Some((Reference::Baseline { .. }, _)) | None => 1.0,
         };
         (loss, reference)
     }

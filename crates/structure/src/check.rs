@@ -1,15 +1,19 @@
 //! Analyses a structure with its sensors before anything is measured: frequencies, damping, and what can be identified.
 
+mod assumptions;
+mod design;
 mod finding;
 mod identification;
+mod particles;
 
 use crate::hysteresis::Constant;
 use crate::information::Information;
 use crate::modes::Modes;
 use crate::parameter::Scales;
 use crate::structure::Structure;
+pub use assumptions::Assumption;
 use finding::find;
-pub use finding::{Finding, Severity};
+pub use finding::{Finding, Severity, Shift};
 use nalgebra::DMatrix;
 use serde::Serialize;
 use spandrel_filter::ProcessModel;
@@ -29,6 +33,8 @@ pub struct CheckReport {
     pub identification: Option<IdentificationReport>,
     /// What to know before this file is used, the most serious first.
     pub findings: Vec<Finding>,
+    /// What no check can know; the rest of the report holds if the file is right about it.
+    pub assumptions: Vec<Assumption>,
 }
 
 /// One natural mode.
@@ -118,10 +124,11 @@ impl Structure {
         let identification = information.and_then(|information| self.identification(&information, frames));
         let time_step = self.time_step(modes.as_ref());
         let modes = modes.map(|modes| self.mode_reports(&modes)).unwrap_or_default();
-        let band_limit_hz = self.band_limit.map(|limit| limit.frequency_hz);
-        let findings =
-            find(identification.as_ref(), &time_step, &modes, self.sampling_rate_hz, band_limit_hz, self.sent_modes());
-        CheckReport { structure: self.name.clone(), modes, time_step, identification, findings }
+        let mut findings = find(self, identification.as_ref(), &time_step, &modes);
+        findings.extend(self.particle_findings(&time_step));
+        findings.sort_by_key(Finding::severity);
+        let assumptions = self.assumptions();
+        CheckReport { structure: self.name.clone(), modes, time_step, identification, findings, assumptions }
     }
 
     fn time_step(&self, modes: Option<&Modes>) -> TimeStepReport {
@@ -174,9 +181,11 @@ impl Structure {
                 mass
             }
             Scales::Hysteresis(Constant::A) => self.system.nominal_stiffness(),
-            Scales::DampingAlpha | Scales::DampingBeta | Scales::Dashpots(_) | Scales::Hysteresis(_) => {
-                DMatrix::zeros(len, len)
-            }
+            Scales::Damping
+            | Scales::DampingAlpha
+            | Scales::DampingBeta
+            | Scales::Dashpots(_)
+            | Scales::Hysteresis(_) => DMatrix::zeros(len, len),
         }
     }
 }

@@ -137,7 +137,7 @@ impl Structure {
         let scaled = |scales: &Scales| match scales {
             Scales::Stiffness(of) => of.iter().any(|part| parts.contains(part)),
             Scales::Mass(_) | Scales::Dashpots(_) | Scales::Hysteresis(_) => false,
-            Scales::DampingAlpha | Scales::DampingBeta => false,
+            Scales::Damping | Scales::DampingAlpha | Scales::DampingBeta => false,
         };
         let parameters = self.parameters.iter().filter(|parameter| scaled(&parameter.scales));
         let parameters = parameters.map(|parameter| parameter.name.clone()).collect();

@@ -37,6 +37,9 @@ pub struct Excitation {
     /// Frame channel and noise standard deviation of the channel that measures it.
     pub(crate) measured: Option<Measured>,
     pub(crate) adapts: bool,
+    /// Factor by which the level of an unmeasured excitation may be off either way, one standard deviation, where the file
+    /// states it; 1: it is known, and white.
+    pub(crate) level_factor: Option<f64>,
 }
 
 /// The channel that measures an excitation.
@@ -47,6 +50,10 @@ pub(crate) struct Measured {
     /// Noise of that channel (m/s² or N).
     pub(crate) noise_std: f64,
 }
+
+/// What an unmeasured level may be off by where the file states nothing: traffic, wind and small earthquakes differ by more
+/// from hour to hour, what a person estimates from a look at a record by less.
+const LEVEL_FACTOR: f64 = 3.0;
 
 impl Excitation {
     /// Returns the name, unique among the excitations.
@@ -81,6 +88,17 @@ impl Excitation {
     #[must_use]
     pub fn adapts(&self) -> bool {
         self.adapts
+    }
+
+    /// Returns the factor by which the level of an unmeasured excitation may be off either way, one standard deviation.
+    ///
+    /// 1 where the file states that the level is known, and for a measured excitation.
+    #[must_use]
+    pub fn level_factor(&self) -> f64 {
+        match self.measured {
+            Some(_) => 1.0,
+            None => self.level_factor.unwrap_or(LEVEL_FACTOR),
+        }
     }
 
     /// Returns the SI unit, as structure files write it.

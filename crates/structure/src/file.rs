@@ -88,6 +88,8 @@ impl<'t> StructureFile<'t> {
         let mut system = file.required_table("model").and_then(model::read_model);
         let damping_section = file.required_table("damping");
         let damping = damping_section.and_then(|section| damping::read_damping(section, system.as_ref()));
+        let damping_is_known = damping.as_ref().is_some_and(|read| read.is_known);
+        let damping = damping.map(|read| read.damping);
         if let (Some(system), Some(damping)) = (&mut system, &damping) {
             system.damping = damping.clone();
         }
@@ -104,7 +106,12 @@ impl<'t> StructureFile<'t> {
             diagnostics.report(distributed.span(), "structure.identification", "is \"distributed\"", allowed);
         }
         let follows = if declared > 0 { filter::Follows::Parameters } else { filter::Follows::MotionAlone };
-        let mut plan = filter::read_filter(file.table("filter"), head.rate_hz, follows);
+        let measured = match excitations.iter().any(|read| read.excitation.channel().is_some()) {
+            true => filter::Measures::Excitation,
+            false => filter::Measures::ResponsesAlone,
+        };
+        let mut plan = filter::read_filter(file.table("filter"), head.rate_hz, (follows, measured));
+        filter::check_particles(&file, &plan, head.distributed.as_ref());
         plan.outliers = outliers::read_outliers(file.table("outliers"), head.rate_hz);
         let mut noise_levels = read_noise_levels(&file, &nodes.channels, &excitations);
         for level in &mut noise_levels {
@@ -130,7 +137,13 @@ impl<'t> StructureFile<'t> {
         }
         let band_limit = filter::read_band_limit(file.table("band-limit"), head.rate_hz);
         let ingest = filter::read_ingest(file.table("ingest"), head.rate_hz);
-        let alert_rules = alert::read_alerts(&mut file, parameter_names);
+        let watchable: Vec<(&str, bool)> =
+            parameters.iter().map(|read| (read.parameter.name(), read.parameter.is_stiffness())).collect();
+        let context = alert::Context {
+            parameters: (declared == parameters.len()).then_some(&watchable[..]),
+            learn_s: system.map_or(0.0, |system| alert::learning_s(plan.half_life_s, system)),
+        };
+        let alert_rules = alert::read_alerts(&mut file, &context);
         let channel_list: Vec<_> = nodes.channels.iter().map(|read| &read.channel).collect();
         let record = record::read_record(file.table("record"), channels.map(|_| &channel_list[..]));
         let levels = (!nodes.incomplete && declared_excitations == excitations.len()).then_some(&noise_levels[..]);
@@ -146,6 +159,7 @@ impl<'t> StructureFile<'t> {
             sampling_rate_hz: head.rate_hz?,
             display_rate_hz: head.display_rate_hz,
             system: system?.clone(),
+            damping_is_known,
             parameters: parameters.into_iter().map(|read| read.parameter).collect(),
             excitation_channels: excitations.iter().flat_map(component_channels).collect(),
             observation_channels: observation_channels(&nodes.channels),

@@ -1,6 +1,7 @@
 //! The filter that the owner asks for, in seconds and ratios; [`Structure::filter_settings`](crate::Structure::filter_settings)
 //! turns it into steps and covariances.
 
+use crate::settings::ParticleKeys;
 use spandrel_filter::{InputHold, NoiseRule};
 use std::ops::RangeInclusive;
 
@@ -17,10 +18,13 @@ pub(crate) struct FilterPlan {
     /// No noise level falls below this share of its start (standard deviations).
     pub(crate) noise_floor: f64,
     pub(crate) annealing: Annealing,
+    /// Particles in place of the Kalman filter, if the file asks for them.
+    pub(crate) particles: Option<ParticleKeys>,
     /// How outliers are screened, if they are.
     pub(crate) outliers: Option<OutlierPlan>,
     /// A parameter's variance is kept below this times its prior variance.
     pub(crate) variance_bound: f64,
+    /// Of measured excitations.
     pub(crate) input_hold: InputHold,
     /// Standard deviation of each displacement at the start (m).
     pub(crate) displacement_std_m: f64,
@@ -75,9 +79,11 @@ impl Default for FilterPlan {
             noise_floor: 0.1,
             // start-up: spec of chapter 2, §3.6; tolerates parameters that are 30 % off
             annealing: Annealing { amount: 100.0, time_s: 2.0 },
+            particles: None,
             outliers: None,
             variance_bound: 1.0,
-            input_hold: InputHold::Zero,
+            // held, a record is late by half a step, which reads as a change of stiffness and damping
+            input_hold: InputHold::First,
             // at rest: wide priors make the first updates leave the linear range of the filter
             displacement_std_m: 1e-5,
             velocity_std_m_per_s: 1e-4,

@@ -6,8 +6,8 @@ use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::outlier::upper_bound;
 use spandrel_filter::{
-    Annealing, FadingFactor, FilterError, FilterSettings, NoiseModel, NoiseParameter, NoiseRule, NoiseSettings,
-    NoiseTarget, OutlierSettings, OutlierTraining,
+    Annealing, FadingFactor, FilterError, FilterSettings, MisfitSettings, NoiseModel, NoiseParameter, NoiseRule,
+    NoiseSettings, NoiseTarget, OutlierSettings, OutlierTraining,
 };
 use std::ops::RangeInclusive;
 
@@ -20,6 +20,21 @@ const HALF_OR_DOUBLE_PERIODS: f64 = 1.0;
 /// Training ends without further waiting after this many times its least length: with one level and few channels the
 /// source's own rule may never fire.
 const TRAINING_LIMIT: u64 = 4;
+
+/// Longest length over which scores are summed, in memories of the filter: longer ones follow the estimate itself.
+const LONGEST_BLOCK: f64 = 0.7;
+
+/// Time constant of the misfit, in memories of the filter: some tens of independent sums at the default half-life.
+const MISFIT_MEMORY: f64 = 8.0;
+
+/// Standard deviations that a sum of scores must reach to be a jump.
+///
+/// A structure with ten parameters has some 10⁸ independent sums a year at 1 Hz, half of them near quiet. White sums reach
+/// 5 standard deviations sixty times in 10⁸. A jump that was none widens the intervals for some periods and harms nothing.
+const JUMP_THRESHOLD: f64 = 5.0;
+
+/// Fundamental periods for which a jump is followed.
+const JUMP_PERIODS: f64 = 4.0;
 
 impl Structure {
     /// Returns the settings of the filter for [`Structure::model`].
@@ -39,9 +54,7 @@ impl Structure {
         mean.rows_mut(0, 2 * free).copy_from(&self.static_state(&of_parameters(&|p| p.mean())));
         let std = state([plan.displacement_std_m, plan.velocity_std_m_per_s], of_parameters(&|p| p.std()));
         let mut settings = FilterSettings::new(self.step_s(), mean, std, self.noise_model());
-        // what is known of a motion needs no forgetting where nothing else is identified: it dies away with the motion
-        let forgets = !self.parameters.is_empty();
-        settings.fading = if forgets { fading(plan.half_life_s)? } else { FadingFactor::NONE };
+        settings.fading = self.fading()?;
         settings.variance_bound = state([f64::INFINITY; 2], of_parameters(&|p| plan.variance_bound * p.std().powi(2)));
         settings.lower = state([f64::NEG_INFINITY; 2], of_parameters(&|p| p.bounds().0));
         settings.upper = state([f64::INFINITY; 2], of_parameters(&|p| p.bounds().1));
@@ -57,8 +70,46 @@ impl Structure {
         settings.annealing = (plan.annealing.amount > 0.0)
             .then_some(Annealing { amount: plan.annealing.amount, time_constant_s: plan.annealing.time_s });
         settings.input_hold = plan.input_hold;
+        settings.misfit = self.misfit_settings(settings.fading);
+        for (considered, error) in
+            settings.considered_std.iter_mut().skip(2 * free).zip(self.errors_by_unmeasured_excitation())
+        {
+            *considered = error;
+        }
         settings.outliers = plan.outliers.map(|outliers| self.outlier_settings(&outliers));
         Ok(settings)
+    }
+
+    /// Returns the fading factor of the state.
+    ///
+    /// # Errors
+    /// When the half-life is so short that it has none.
+    pub(crate) fn fading(&self) -> Result<FadingFactor, FilterError> {
+        // what is known of a motion needs no forgetting where nothing else is identified: it dies away with the motion
+        if self.parameters.is_empty() {
+            return Ok(FadingFactor::NONE);
+        }
+        FadingFactor::from_half_life(self.plan.half_life_s * self.sampling_rate_hz)
+    }
+
+    /// Returns how misfit is measured: over lengths between half a fundamental period and the memory of the filter.
+    ///
+    /// `None` where nothing is forgotten, because then no parameter is identified.
+    fn misfit_settings(&self, fading: FadingFactor) -> Option<MisfitSettings> {
+        let period_steps = self.fundamental_period_s() * self.sampling_rate_hz;
+        let memory_steps = fading.memory_steps();
+        memory_steps.is_finite().then(|| MisfitSettings {
+            block_steps: [
+                0.5 * period_steps,
+                2.0 * period_steps,
+                (LONGEST_BLOCK * memory_steps).max(2.0 * period_steps),
+            ],
+            memory_steps: MISFIT_MEMORY * memory_steps,
+            start_steps: (TRAINING_PERIODS * period_steps) as u64,
+            jump_threshold: JUMP_THRESHOLD,
+            jump_steps: (JUMP_PERIODS * period_steps) as u64,
+            lag_steps: (period_steps as usize).max(1),
+        })
     }
 
     /// Turns seconds into samples; what the file leaves open follows from the fundamental period as designed.
@@ -97,11 +148,29 @@ impl Structure {
         (periods * self.fundamental_period_s() * self.sampling_rate_hz) as u64
     }
 
+    /// Returns the standard deviation of the logarithm of the variance of a noise level (from 0) before any data.
+    ///
+    /// A variance that is known to a factor `F` of the standard deviation has `2 ln F`. The published rules start an
+    /// unmeasured level like any other, unless the file says otherwise.
+    pub(crate) fn level_prior_std(&self, level: usize) -> f64 {
+        let published = matches!(self.plan.noise_rule, NoiseRule::Published | NoiseRule::HalfOrDouble);
+        match self.noise_levels[level].source() {
+            NoiseSource::Excitation(index) if self.is_unmeasured(level) => {
+                let excitation = &self.excitations[*index];
+                if published && excitation.level_factor.is_none() {
+                    return self.plan.noise_prior_std;
+                }
+                2.0 * excitation.level_factor().ln()
+            }
+            NoiseSource::Excitation(_) | NoiseSource::Sensors(_) => self.plan.noise_prior_std,
+        }
+    }
+
     /// Splits the noise levels into what is known and what is adapted.
     fn noise_model(&self) -> NoiseModel {
         let (inputs, rows) = (self.excitation_channels.len(), self.observation_channels.len());
         let mut model = NoiseModel::known(DMatrix::zeros(inputs, inputs), DMatrix::zeros(rows, rows));
-        for level in &self.noise_levels {
+        for (index, level) in self.noise_levels.iter().enumerate() {
             let variance = level.std.powi(2);
             let (target, pattern) = match &level.source {
                 NoiseSource::Excitation(excitation) => (NoiseTarget::Excitation, self.excitation_pattern(*excitation)),
@@ -117,7 +186,7 @@ impl Structure {
                     target,
                     pattern,
                     start: variance,
-                    start_std: self.plan.noise_prior_std * variance,
+                    start_std: self.level_prior_std(index) * variance,
                 });
             } else {
                 match target {

@@ -114,6 +114,7 @@ impl Structure {
         };
         let make = || {
             let mut settings = own.filter_settings()?;
+            settings.misfit = None; // the station replaces the parameters: their corrections are no scores
             change(&mut settings);
             let filter = ExtendedKalmanFilter::new(own.model(), settings)?;
             let settings = NodeSettings {

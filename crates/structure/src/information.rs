@@ -111,7 +111,7 @@ impl Moved {
             }
         }
         let form = LinearForm::new(&mut structure.model(), &theta);
-        let recursion = form.recursion(structure.step_s(), structure.plan.input_hold);
+        let recursion = form.recursion(structure.step_s(), &structure.input_holds());
         Self { form, recursion, noise }
     }
 

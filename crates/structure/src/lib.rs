@@ -70,6 +70,7 @@ mod assembly;
 mod check;
 mod classes;
 mod drawing;
+mod excitation_dependence;
 mod filter_settings;
 mod information;
 mod linear_form;
@@ -78,11 +79,15 @@ mod modes;
 mod of_node;
 mod simulator;
 mod sparse_cholesky;
+mod spectral_information;
+mod spectrum;
 mod steady_filter;
+mod wrong_model;
 
 pub use alert_rule::{AlertRule, Reference};
 pub use check::{
-    CheckReport, Finding, IdentificationReport, ModeReport, NoiseLevelReport, ParameterReport, Severity, TimeStepReport,
+    Assumption, CheckReport, Finding, IdentificationReport, ModeReport, NoiseLevelReport, ParameterReport, Severity,
+    Shift, TimeStepReport,
 };
 pub use classes::StructureClasses;
 pub use drawing::{Drawing, DrawingForm, DrawnMember, DrawnPoint, DrawnSensor};
@@ -95,7 +100,7 @@ pub use node::{Channel, Node, Quantity};
 pub use noise_level::{NoiseLevel, NoiseSource};
 pub use parameter::Parameter;
 pub use record_map::{ColumnMap, RecordMap};
-pub use settings::{BandLimit, IngestSettings};
+pub use settings::{BandLimit, IngestSettings, ParticleKeys};
 pub use simulation_plan::SimulationPlan;
 pub use simulator::{SimulatedFrame, Simulator};
 pub use structure::Structure;

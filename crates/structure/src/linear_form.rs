@@ -26,7 +26,7 @@ pub(crate) struct Recursion {
     pub(crate) transition: DMatrix<f64>,
     /// `B` (2 N_d × N_f), (2.9).
     pub(crate) input: DMatrix<f64>,
-    /// `B₁` (2 N_d × N_f); zero if the excitation is held.
+    /// `B₁` (2 N_d × N_f); zero for what is held.
     pub(crate) slope: DMatrix<f64>,
 }
 
@@ -63,13 +63,11 @@ impl LinearForm {
         self.system.clone().lu().solve(&pushed).unwrap_or_else(|| DVector::zeros(self.system.nrows()))
     }
 
-    /// Makes the recursion for a step of `step_s` (s), read off one exponential of an augmented matrix.
-    pub(crate) fn recursion(&self, step_s: f64, hold: InputHold) -> Recursion {
+    /// Makes the recursion for a step of `step_s` (s), read off one exponential of an augmented matrix; `holds` says how each
+    /// component of the excitation runs.
+    pub(crate) fn recursion(&self, step_s: f64, holds: &[InputHold]) -> Recursion {
         let (n, inputs) = (self.input.nrows(), self.input.ncols());
-        let with_slope = match hold {
-            InputHold::Zero => 0,
-            InputHold::First => inputs,
-        };
+        let with_slope = if holds.contains(&InputHold::First) { inputs } else { 0 };
         let mut augmented = DMatrix::zeros(n + inputs + with_slope, n + inputs + with_slope);
         augmented.view_mut((0, 0), (n, n)).copy_from(&(&self.system * step_s));
         augmented.view_mut((0, n), (n, inputs)).copy_from(&(&self.input * step_s));
@@ -78,10 +76,10 @@ impl LinearForm {
         }
         let exponential = augmented.exp();
         let block = |column, width| exponential.view((0, column), (n, width)).into_owned();
-        let slope = match hold {
-            InputHold::Zero => DMatrix::zeros(n, inputs),
-            InputHold::First => block(n + inputs, inputs),
-        };
+        let mut slope = DMatrix::zeros(n, inputs);
+        for (input, _) in holds.iter().enumerate().filter(|(_, hold)| **hold == InputHold::First) {
+            slope.column_mut(input).copy_from(&block(n + inputs + input, 1));
+        }
         Recursion { transition: block(0, n), input: block(n, inputs), slope }
     }
 }

@@ -67,6 +67,20 @@ impl Damping {
     /// None yet: the file says it in a table of its own.
     pub(crate) const NONE: Self = Self::Rayleigh { alpha_per_s: 0.0, beta_s: 0.0 };
 
+    /// Returns the same damping, `factor` times as strong.
+    pub(crate) fn times(&self, factor: f64) -> Self {
+        match self {
+            Self::Rayleigh { alpha_per_s, beta_s } => {
+                Self::Rayleigh { alpha_per_s: factor * alpha_per_s, beta_s: factor * beta_s }
+            }
+            Self::Dashpots(parts) => {
+                let scale = |part: &Substructure| Substructure { stiffness: &part.stiffness * factor, ..part.clone() };
+                Self::Dashpots(parts.iter().map(scale).collect())
+            }
+            Self::Matrix(matrix) => Self::Matrix(matrix * factor),
+        }
+    }
+
     /// Returns `C` (N s/m) as designed, of dashpots or a given matrix; `None` for Rayleigh damping.
     pub(crate) fn matrix(&self, len: usize) -> Option<DMatrix<f64>> {
         match self {

@@ -162,7 +162,11 @@ impl Fixed {
                 first..dofs.iter().max().map_or(first, |last| last + 1)
             }
             // through a mass matrix that is not diagonal everything accelerates everything
-            Scales::Stiffness(_) | Scales::Dashpots(_) | Scales::DampingAlpha | Scales::DampingBeta => 0..len,
+            Scales::Stiffness(_)
+            | Scales::Dashpots(_)
+            | Scales::Damping
+            | Scales::DampingAlpha
+            | Scales::DampingBeta => 0..len,
         };
         Self {
             reach: structure.parameters.iter().enumerate().map(reach).collect(),
@@ -194,7 +198,8 @@ impl RateBounds {
             has_fixed_stiffness: (0..system.substructures.len()).any(|part| !scaled(part)),
             has_fixed_damping: match &system.damping {
                 Damping::Dashpots(dashpots) => (0..dashpots.len()).any(|part| !damped(part)),
-                Damping::Rayleigh { .. } | Damping::Matrix(_) => true,
+                Damping::Matrix(_) => !damped(0),
+                Damping::Rayleigh { .. } => true,
             },
         }
     }
@@ -320,7 +325,7 @@ impl StructureModel {
                 Scales::Stiffness(_) => largest_stiffness = theta.abs().max(largest_stiffness),
                 Scales::Dashpots(_) => largest_damping = theta.abs().max(largest_damping),
                 Scales::Mass(_) => smallest_mass = smallest_mass.min(theta.abs()),
-                Scales::DampingAlpha | Scales::DampingBeta | Scales::Hysteresis(_) => {}
+                Scales::Damping | Scales::DampingAlpha | Scales::DampingBeta | Scales::Hysteresis(_) => {}
             }
         }
         (stiffness * largest_stiffness / smallest_mass, damping * largest_damping / smallest_mass)

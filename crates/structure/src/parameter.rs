@@ -9,10 +9,12 @@ pub(crate) enum Scales {
     Stiffness(Vec<usize>),
     /// The mass of these degrees of freedom (indices from 0); lumped mass only.
     Mass(Vec<usize>),
-    /// The dashpots of these indices (from 0).
+    /// The dashpots of these indices (from 0); a given damping matrix counts as one.
     Dashpots(Vec<usize>),
     /// A constant of the law of hysteretic springs, of all of them.
     Hysteresis(Constant),
+    /// `α` and `β` of Rayleigh damping at once.
+    Damping,
     /// `α` of Rayleigh damping.
     DampingAlpha,
     /// `β` of Rayleigh damping.
@@ -52,6 +54,12 @@ impl Parameter {
     #[must_use]
     pub fn bounds(&self) -> (f64, f64) {
         self.bounds
+    }
+
+    /// Tells whether the parameter scales damping.
+    #[must_use]
+    pub fn is_damping(&self) -> bool {
+        matches!(self.scales, Scales::Damping | Scales::DampingAlpha | Scales::DampingBeta | Scales::Dashpots(_))
     }
 
     /// Tells whether the parameter scales a stiffness, so that `1 − θ` is a loss of stiffness.

@@ -21,6 +21,8 @@ impl Allowed {
     pub(crate) const POSITIVE: Self = Self { low: Bound::Excluded(0.0), high: Bound::Unbounded };
     pub(crate) const NOT_NEGATIVE: Self = Self { low: Bound::Included(0.0), high: Bound::Unbounded };
     pub(crate) const FROM_ONE: Self = Self { low: Bound::Included(1.0), high: Bound::Unbounded };
+    /// Factors by which a level may be off.
+    pub(crate) const FACTOR: Self = Self { low: Bound::Included(1.0), high: Bound::Included(1000.0) };
     /// Above 0 and below 1.
     pub(crate) const INSIDE_UNIT: Self = Self { low: Bound::Excluded(0.0), high: Bound::Excluded(1.0) };
     /// Rates of frames (Hz): what the bus carries, and no faster than structures can move.
@@ -247,13 +249,19 @@ impl<'t> Section<'t> {
         }
     }
 
+    /// Reads `true` or `false`.
+    pub(crate) fn flag(&mut self, key: &'static str) -> Option<bool> {
+        let value = self.value(key)?;
+        let flag = value.get_ref().as_bool();
+        if flag.is_none() {
+            self.refuse(key, value, "must be true or false");
+        }
+        flag
+    }
+
     /// Reads `true` or `false`, or takes the default of the key.
     pub(crate) fn flag_or(&mut self, key: &'static str, default: bool) -> bool {
-        let Some(value) = self.value(key) else { return default };
-        value.get_ref().as_bool().unwrap_or_else(|| {
-            self.refuse(key, value, "must be true or false");
-            default
-        })
+        self.flag(key).unwrap_or(default)
     }
 
     /// Reads any text.

@@ -1,4 +1,26 @@
-//! Settings that other rooms carry out: the band limit and the alignment of samples.
+//! Settings that other rooms carry out: the particles, the band limit and the alignment of samples.
+
+use spandrel_filter::ImportanceDensity;
+
+/// How particles identify in place of the Kalman filter, `[filter] kind = "particle"`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ParticleKeys {
+    /// Number of particles, at least 2.
+    pub particles: usize,
+    /// Where particles are drawn from.
+    pub density: ImportanceDensity,
+    /// Standard deviation by which each parameter may drift within a second (ratio to nominal per √s).
+    pub drift_per_root_s: f64,
+    /// How long a Kalman filter runs before the particles are drawn (s).
+    pub warm_up_s: f64,
+}
+
+impl Default for ParticleKeys {
+    /// 2000 particles from the optimal density after two seconds, and a drift of 1 % in four seconds.
+    fn default() -> Self {
+        Self { particles: 2000, density: ImportanceDensity::Optimal, drift_per_root_s: 0.005, warm_up_s: 2.0 }
+    }
+}
 
 /// A causal low-pass filter, the same on every channel.
 #[derive(Debug, Clone, Copy, PartialEq)]

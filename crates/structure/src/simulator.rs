@@ -135,7 +135,7 @@ impl Simulator {
             Amplitude::Any => structure.static_state(&theta),
             Amplitude::Small => DVector::zeros(2 * structure.system.len()),
         };
-        let motion = Motion::new(structure.model(), &theta, step_s, structure.plan.input_hold, amplitude, start);
+        let motion = Motion::new(structure.model(), &theta, step_s, structure.input_holds(), amplitude, start);
         // streams of their own, so that a dropped sample changes neither the motion nor the noise
         let random = |stream| {
             let mut random = ChaCha8Rng::seed_from_u64(seed);

@@ -15,9 +15,10 @@ use crate::node::{Channel, Node};
 use crate::noise_level::{NoiseLevel, NoiseSource};
 use crate::parameter::Parameter;
 use crate::record_map::RecordMap;
-use crate::settings::{BandLimit, IngestSettings};
+use crate::settings::{BandLimit, IngestSettings, ParticleKeys};
 use crate::simulation_plan::SimulationPlan;
 use nalgebra::{DMatrix, DVector};
+use spandrel_filter::InputHold;
 use std::fs::File;
 use std::io::Read;
 use std::ops::Range;
@@ -37,6 +38,8 @@ pub struct Structure {
     pub(crate) sampling_rate_hz: f64,
     pub(crate) display_rate_hz: f64,
     pub(crate) system: LinearSystem,
+    /// The file says that the damping is known.
+    pub(crate) damping_is_known: bool,
     pub(crate) parameters: Vec<Parameter>,
     pub(crate) excitations: Vec<Excitation>,
     pub(crate) excitation_channels: Vec<Option<usize>>,
@@ -181,6 +184,12 @@ impl Structure {
         &self.excitation_channels
     }
 
+    /// Returns how each excitation component (N_f) runs between frames: what nobody measures is white noise, and held.
+    pub(crate) fn input_holds(&self) -> Vec<InputHold> {
+        let hold = |channel: &Option<usize>| channel.map_or(InputHold::Zero, |_| self.plan.input_hold);
+        self.excitation_channels.iter().map(hold).collect()
+    }
+
     /// Returns the known mean of each excitation component (N_f, m/s² or N): 0 but for fields of forces.
     #[must_use]
     pub fn mean_excitation(&self) -> DVector<f64> {
@@ -274,6 +283,12 @@ impl Structure {
     #[must_use]
     pub fn band_limit(&self) -> Option<BandLimit> {
         self.band_limit
+    }
+
+    /// Returns how particles identify; `None` if the Kalman filter does.
+    #[must_use]
+    pub fn particles(&self) -> Option<ParticleKeys> {
+        self.plan.particles
     }
 
     /// Tells whether outliers are screened.

@@ -139,6 +139,7 @@ impl Exact {
 /// The settings of the structure, with all noises known.
 fn settings(structure: &Structure) -> FilterSettings {
     let mut settings = structure.filter_settings().unwrap();
+    settings.misfit = None; // the reference is the published filter
     for parameter in std::mem::take(&mut settings.noise.parameters) {
         match parameter.target {
             NoiseTarget::Excitation => settings.noise.excitation += parameter.start * parameter.pattern,

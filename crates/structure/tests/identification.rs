@@ -1,7 +1,7 @@
 //! The filter identifies what the simulator has done to the structure.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "helpers of tests are no tests to clippy")]
 
-use spandrel_filter::{ExtendedKalmanFilter, FilterError, Frame};
+use spandrel_filter::{ExtendedKalmanFilter, FilterError, Frame, ProcessModel};
 use spandrel_structure::{Structure, StructureModel};
 use std::path::Path;
 
@@ -17,6 +17,17 @@ fn run(structure: &Structure, seconds: f64, seed: u64) -> ExtendedKalmanFilter<S
 
 /// Does so with parameters that start too high and too low in turn, by `error`.
 fn run_from(structure: &Structure, error: f64, seconds: f64, seed: u64) -> ExtendedKalmanFilter<StructureModel> {
+    run_on(structure, structure, error, seconds, seed)
+}
+
+/// Does so with a simulation of another structure.
+fn run_on(
+    structure: &Structure,
+    simulated: &Structure,
+    error: f64,
+    seconds: f64,
+    seed: u64,
+) -> ExtendedKalmanFilter<StructureModel> {
     let mut settings = structure.filter_settings().unwrap();
     let physical = settings.prior_mean.len() - structure.parameters().len();
     for (index, mean) in settings.prior_mean.iter_mut().skip(physical).enumerate() {
@@ -24,7 +35,7 @@ fn run_from(structure: &Structure, error: f64, seconds: f64, seed: u64) -> Exten
     }
     let mut filter = ExtendedKalmanFilter::new(structure.model(), settings).unwrap();
     let frames = (seconds * structure.sampling_rate_hz()) as usize;
-    for frame in structure.simulator(seed).take(frames) {
+    for frame in simulated.simulator(seed).take(frames) {
         let observations: Vec<f64> = structure.observation_channels().iter().map(|c| frame.values[*c]).collect();
         let excitation: Vec<f64> =
             structure.excitation_channels().iter().map(|c| c.map_or(0.0, |c| frame.values[c])).collect();
@@ -33,10 +44,10 @@ fn run_from(structure: &Structure, error: f64, seconds: f64, seed: u64) -> Exten
     filter
 }
 
-/// Parameters of `filter` within five of its standard deviations of `truth`, and these below `largest_std`.
+/// The first parameters of `filter` within five of its standard deviations of `truth`, and these below `largest_std`.
 #[track_caller]
 fn assert_identified(filter: &ExtendedKalmanFilter<StructureModel>, truth: &[f64], largest_std: f64) {
-    let physical = filter.mean().len() - truth.len();
+    let physical = filter.mean().len() - filter.model().parameter_len();
     for (index, truth) in truth.iter().enumerate() {
         let (mean, std) =
             (filter.mean()[physical + index], filter.covariance()[(physical + index, physical + index)].sqrt());
@@ -52,6 +63,27 @@ fn the_demo_is_identified_before_and_after_its_damage() {
     let demo = example("demo.toml");
     assert_identified(&run(&demo, 59.0, 1), &[1.0; 5], 0.01);
     assert_identified(&run(&demo, 150.0, 1), &[1.0, 0.85, 1.0, 1.0, 1.0], 0.01);
+}
+
+/// The simulation has three times the damping that the file of the filter states, and a third of it.
+#[test]
+fn damping_that_the_file_does_not_know_is_identified_and_stays_positive() {
+    let demo = example("demo.toml");
+    for factor in [3.0, 1.0 / 3.0] {
+        let text = demo.text().replace("ratio = 0.02", &format!("ratio = {}", 0.02 * factor));
+        let other = Structure::parse(&text, Path::new("other.toml")).unwrap_or_else(|error| panic!("{error}"));
+        let filter = run_on(&demo, &other, 0.0, 59.0, 1);
+        let damping = filter.mean()[15];
+        println!(
+            "{factor}: {:?}, damping {damping} ± {}",
+            &filter.mean().as_slice()[10..15],
+            filter.covariance()[(15, 15)].sqrt()
+        );
+        assert_identified(&filter, &[1.0, 1.0, 1.0, 1.0, 1.0, factor], 0.5);
+        for storey in 10..15 {
+            assert!((filter.mean()[storey] - 1.0).abs() < 0.02, "{factor}: {}", filter.mean()[storey]);
+        }
+    }
 }
 
 #[test]

@@ -22,6 +22,12 @@ pub enum ValidateError {
         /// What of it.
         what: &'static str,
     },
+    /// A run of the robustness benchmark stopped.
+    #[error("the robustness benchmark stopped: {0}")]
+    Robustness(String),
+    /// A real record has no result.
+    #[error(transparent)]
+    Records(#[from] crate::robustness::records::RecordsError),
     /// The case was told to stop.
     #[error("stopped")]
     Stopped,

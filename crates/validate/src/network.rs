@@ -131,6 +131,7 @@ impl Network<'_> {
     pub(crate) fn in_one_filter(&self, shares: (f64, f64), run: &Run<'_>) -> Result<Vec<Course>, ValidateError> {
         let structure = self.structure;
         let mut settings = structure.filter_settings().map_err(ValidateError::setting)?;
+        settings.misfit = None; // the method as it was published
         self.set_noise(0, &mut settings);
         settings.outliers = None;
         let mut filter = ExtendedKalmanFilter::new(structure.model(), settings).map_err(ValidateError::setting)?;

@@ -126,7 +126,7 @@ impl Plan {
             let outcomes = runs.into_iter().map(|(seed, done)| (seed, Ok(done))).collect::<Vec<_>>();
             (!outcomes.is_empty()).then(|| CaseReport::new(case, outcomes, program))
         };
-        cases().iter().filter(|case| !planned(case)).filter_map(report).collect()
+        cases().iter().copied().filter(|case| !planned(case)).filter_map(report).collect()
     }
 
     /// Runs one case for one seed, or takes what is kept.
@@ -221,6 +221,30 @@ mod tests {
         let page = std::fs::read_to_string(pages.path().join("figures.md")).unwrap();
         assert!(page.contains("`kalman.vehicle`") && page.contains("`test.plain`"), "{page}");
         assert!(page.contains("No outcome is kept of") && page.contains("`ekf.tower`"), "{page}");
+    }
+
+    fn misses(run: &Run<'_>) -> Result<Outcome, ValidateError> {
+        let known = Figure::new("known", run.seed as f64, Required::AtMost(1.0)).known_miss("the record is short");
+        let holding = Figure::new("holding", 0.0, Required::AtMost(1.0)).known_miss("it used to miss");
+        Ok(Outcome { figures: vec![known, holding], ..Outcome::default() })
+    }
+
+    static MISSED: Case = Case { name: "test.missed", title: "known misses", source: "here", weight: 1.0, run: misses };
+
+    #[test]
+    fn a_known_miss_is_shown_with_its_requirement_and_reason_and_does_not_fail_the_run() {
+        let report = Plan::new(vec![&MISSED], vec![101, 102], Length::Full).run(&Quiet).unwrap();
+        assert!(report.passed() && !report.cases[0].figures[0].passed && !report.cases[0].figures[0].is_surprise());
+        let text = report.text();
+        let line = "MISSED   known: 101, 102 (required ≤ 1); known: the record is short";
+        assert!(text.contains(line), "{text}");
+        assert!(text.contains("holds    holding: 0, 0 (required ≤ 1)\n"), "{text}");
+        assert!(text.contains("1 of 2 figures as required, 1 missed (1 of them known), 0 runs failed"), "{text}");
+        let pages = tempfile::tempdir().unwrap();
+        report.write(pages.path()).unwrap();
+        let page = std::fs::read_to_string(pages.path().join("figures.md")).unwrap();
+        assert!(page.contains("| known | – | ≤ 1 | 101 | 102 | MISSED; known: the record is short |"), "{page}");
+        assert!(page.contains("`spandrel validate --seeds 101..102 --report DIRECTORY`"), "{page}");
     }
 
     #[test]

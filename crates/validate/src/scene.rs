@@ -107,6 +107,7 @@ impl Scene {
     /// The settings of the file, with the noise of the sensors as it is.
     pub(crate) fn settings(&self) -> Result<FilterSettings, ValidateError> {
         let mut settings = self.structure.filter_settings().map_err(ValidateError::setting)?;
+        settings.misfit = None; // the method as it was published
         settings.noise.sensors.fill(0.0);
         for (channel, std) in self.noise_std.iter().enumerate() {
             settings.noise.sensors[(channel, channel)] = std * std;

@@ -4,6 +4,7 @@
 //! does not concern alerts are not looked at. An alert that stands and that the rules of now do not raise ends, in words.
 
 use super::{Decision, Stage, Watching};
+use crate::support::Support;
 use crate::wording::{End, describe_end};
 use crate::{Alert, ReferenceRule, probability_of_loss};
 use spandrel_bus::AlertState;
@@ -22,11 +23,13 @@ impl Decision {
     pub(crate) fn succeed(&mut self, former: &Self, model: Model, alerts: &mut Vec<Alert>) {
         let learns = matches!(self.rule.reference(), ReferenceRule::Learnt { .. });
         let keeps_reference = former.rule.reference() == self.rule.reference() && (model == Model::Same || !learns);
-        (self.knowledge, self.last_estimate) = (former.knowledge, former.last_estimate);
+        (self.knowledge, self.last) = (former.knowledge, former.last);
+        (self.support, self.jump) = (former.support, former.jump);
         if keeps_reference {
             self.stage = former.stage.clone();
         }
         if keeps_reference && former.rule == self.rule {
+            self.decided = former.decided;
             self.last_alert = former.last_alert.clone().map(|last| self.renumbered(last));
         } else {
             self.judge_anew(former, model, alerts);
@@ -39,19 +42,23 @@ impl Decision {
     /// The end of this decision, which no rule of the structure file continues; `None` where nothing of it stood.
     pub(crate) fn ended(mut self, end: &End) -> Option<Alert> {
         let state = match self.state() {
-            AlertState::Raised | AlertState::Acknowledged => AlertState::Cleared,
-            AlertState::Pending => AlertState::Normal,
+            AlertState::Raised | AlertState::Acknowledged | AlertState::Unconfirmed => AlertState::Cleared,
+            AlertState::Pending | AlertState::Undecided => AlertState::Normal,
             AlertState::Learning | AlertState::Normal | AlertState::Cleared => return None,
         };
         if let Stage::Watching { watch, .. } = &mut self.stage {
             *watch = Watching::Normal;
         }
+        self.support = Support::default();
         let alert = self.alert(state)?;
         Some(Alert { why: describe_end(&self.subject, end), ..alert })
     }
 
     /// Takes up by its own rule what stood by another.
     fn judge_anew(&mut self, former: &Self, model: Model, alerts: &mut Vec<Alert>) {
+        if former.state() == AlertState::Undecided {
+            self.last_alert = former.last_alert.clone().map(|last| self.renumbered(last));
+        }
         let Stage::Watching { watch: stood, .. } = &former.stage else {
             return; // nothing can have stood while a reference was learnt
         };
@@ -61,9 +68,9 @@ impl Decision {
                 self.take_up(Watching::Normal);
                 self.announce(alerts);
             }
-            Watching::Raised { since_ns, acknowledged, .. } => match self.end(former, model) {
+            Watching::Raised { since_ns, acknowledged, is_confirmed, .. } => match self.end(former, model) {
                 None => {
-                    self.take_up(Watching::Raised { since_ns, acknowledged, low_since_ns: None });
+                    self.take_up(Watching::Raised { since_ns, acknowledged, low_since_ns: None, is_confirmed });
                     self.last_alert = self.alert(self.state()); // the same state, with the numbers of this rule
                 }
                 Some(end) => {
@@ -89,7 +96,7 @@ impl Decision {
 
     /// Why an alert that `former` had raised is over by the rule of this decision; `None` while it stands.
     fn end(&self, former: &Self, model: Model) -> Option<End> {
-        let (Stage::Watching { reference, .. }, Some(estimate)) = (&self.stage, &self.last_estimate) else {
+        let (Stage::Watching { reference, .. }, Some((estimate, _))) = (&self.stage, &self.last) else {
             return Some(End::ReferenceLearntAnew);
         };
         if model == Model::Changed {

@@ -1,11 +1,12 @@
 use spandrel_bus::AlertState::{Acknowledged as Seen, Cleared, Learning, Normal, Pending, Raised};
-use spandrel_bus::{Estimate, EstimateBlock, EstimateFlags, Header, Phase, StreamState};
+use spandrel_bus::{Estimate, EstimateBlock, EstimateFlags, Header, StreamState};
 
 use super::*;
 use crate::Acknowledged;
 
 const TOWER: &str = include_str!("../../tests/tower.toml");
-const RULE: &str = "[[alert]]\nparameters = \"all\"\nloss = 0.05\ncredibility = 0.95\nsustain-s = 0.5\n";
+const RULE: &str =
+    "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.95\nsustain-s = 0.5\n";
 
 /// The tower of which both storeys are identified, with these alert rules.
 fn tower(rules: &str) -> String {
@@ -34,7 +35,7 @@ fn second_of(state: &mut AlertState, means: [f64; 2]) -> Vec<Alert> {
         normalised_innovation_squared: 0.0,
         log_evidence: 0.0,
         used_channels: 1,
-        flags: EstimateFlags { phase: Phase::Working, restarted: false, prediction_only: false },
+        flags: EstimateFlags::working(),
     };
     let sequence = state.watch.position().map_or(0, |(_, next)| next);
     let block = EstimateBlock {
@@ -109,7 +110,12 @@ fn an_alert_that_the_changed_rule_does_not_raise_ends_with_a_reason() {
 
 #[test]
 fn an_alert_that_ends_by_another_reference_says_what_the_loss_counts_from() {
-    let counted_from = |mean, std| tower(&format!("{RULE}reference = {{ mean = {mean}, std = {std} }}\n"));
+    let counted_from = |mean, std| {
+        tower(&format!(
+            "{}reference = {{ mean = {mean}, std = {std} }}\n",
+            RULE.replace("reference.design-std = 1e-9\n", "")
+        ))
+    };
     let state = new(&counted_from(0.87, 0.02)).succeed(raised(&counted_from(1.045, 0.046), false));
     let why = "alert of storey-2 has ended: its rule was changed from more than 5 % below 1.045 ± 0.046 with probability 0.950 \
                for 0.5 s to more than 5 % below 0.870 ± 0.020 with probability 0.950 for 0.5 s, and the last estimate gives that \
@@ -172,7 +178,8 @@ fn another_model_clears_an_alert_only_by_what_it_identifies() {
 
 #[test]
 fn a_reference_that_was_learnt_ends_with_its_model() {
-    let learning = tower(&format!("{RULE}reference = {{ learn-s = 0.5 }}\n"));
+    let learning =
+        tower(&format!("{}reference = {{ learn-s = 0.5 }}\n", RULE.replace("reference.design-std = 1e-9\n", "")));
     let mut former = new(&learning);
     second_of(&mut former, [1.0, 1.0]);
     let raised = second_of(&mut former, [1.0, 0.8]);

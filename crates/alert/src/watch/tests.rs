@@ -1,14 +1,15 @@
 use proptest::prelude::*;
-use spandrel_bus::{EstimateFlags, Header, Message, Name, StreamState};
+use spandrel_bus::{EstimateFlags, FitVerdict, Header, Message, Name, Phase, StreamState};
 
 use super::*;
-use crate::RecordSummary;
+use crate::{BetweenRecords, RecordSummary};
 
 /// Two parameters, the second with two rules: 5 % and 20 %.
 fn watch() -> Watch {
     let decision = |number, loss, parameter, name: &str| {
         let rule = Rule::new(loss, 0.95, 0.5, 0.05).unwrap();
-        let subject = Subject { parameter, name: name.into(), quantity: "stiffness".into(), prior_std: 0.3 };
+        let subject =
+            Subject { parameter, name: name.into(), quantity: "stiffness".into(), prior_std: 0.3, bounds: (0.1, 2.0) };
         Decision::new(number, rule, subject)
     };
     Watch::from_decisions(
@@ -27,7 +28,7 @@ fn estimate(means: [f64; 2], std: f64, phase: Phase) -> Estimate {
         normalised_innovation_squared: 0.0,
         log_evidence: 0.0,
         used_channels: 1,
-        flags: EstimateFlags { phase, restarted: false, prediction_only: false },
+        flags: EstimateFlags { phase, ..EstimateFlags::working() },
     }
 }
 
@@ -87,8 +88,29 @@ fn what_has_not_changed_stands_as_the_first_rule_of_its_parameter_says() {
 
 #[test]
 fn training_frames_decide_nothing() {
-    let found = alerts_of(&mut watch(), &block(1, 0, vec![estimate([0.5, 0.5], 0.01, Phase::Training); 50]));
+    let mut watch = watch();
+    let found = alerts_of(&mut watch, &block(1, 0, vec![estimate([0.5, 0.5], 0.01, Phase::Training); 50]));
     assert_eq!(found, []);
+    // a training that stays open is told after a second
+    let found = alerts_of(&mut watch, &block(1, 50, vec![estimate([0.5, 0.5], 0.01, Phase::Training); 100]));
+    let states: Vec<_> = found.iter().map(|alert| (alert.parameter, alert.state, alert.undecided_because)).collect();
+    let told = |parameter| (parameter, AlertState::Undecided, Some(UndecidedBecause::NoiseTraining));
+    assert_eq!(states, [told(0), told(1), told(1)]);
+    assert_eq!(watch.undecided(), [(UndecidedBecause::NoiseTraining, 3)].into());
+}
+
+#[test]
+fn frames_are_counted_as_decided_or_not() {
+    let mut watch = watch();
+    assert_eq!(watch.decided_share(1), None);
+    let mut contradicted = estimate([1.0, 1.0], 0.01, Phase::Working);
+    contradicted.flags.fit = Some(FitVerdict::Contradicted);
+    alerts_of(&mut watch, &block(1, 0, vec![estimate([1.0, 1.0], 0.01, Phase::Working); 30]));
+    alerts_of(&mut watch, &block(1, 30, vec![contradicted; 10]));
+    assert_eq!((watch.decided_share(0), watch.decided_share(1)), (Some(0.75), Some(0.75)));
+    let shares = watch.decided_shares();
+    assert_eq!(shares[&1].frames(), 80, "two rules watch storey 2");
+    assert_eq!(shares[&1].undecided().collect::<Vec<_>>(), [(UndecidedBecause::FitContradicted, 20)]);
 }
 
 #[test]
@@ -145,8 +167,7 @@ fn acknowledgement_with_the_longest_texts_is_accepted_by_the_bus() {
 }
 
 fn tower(reference: &str) -> Structure {
-    let text =
-        include_str!("../../tests/tower.toml").replace("sustain-s = 0.5", &format!("sustain-s = 0.5\n{reference}"));
+    let text = include_str!("../../tests/tower.toml").replace("reference.design-std = 1e-9", reference);
     Structure::parse(&text, "tower.toml".as_ref()).unwrap()
 }
 
@@ -161,12 +182,12 @@ fn reference_used(structure: &Structure, baseline: Option<&Baseline>) -> Option<
 
 fn tower_baseline(structure: &str) -> Baseline {
     let record = RecordSummary::from_estimates([[(0.8, 0.05)]]).unwrap();
-    Baseline::from_records(structure, &["storey-1"], &[record]).unwrap()
+    Baseline::from_records(structure, &["storey-1"], &[record], BetweenRecords::Stated(0.0)).unwrap()
 }
 
 #[test]
 fn rules_of_the_structure_file_give_the_reference() {
-    assert_eq!(reference_used(&tower(""), None), Some((1.0, 0.0)));
+    assert_eq!(reference_used(&tower("reference = { design-std = 0.05 }"), None), Some((1.0, 0.05)));
     assert_eq!(reference_used(&tower("reference = { mean = 0.9, std = 0.1 }"), None), Some((0.9, 0.1)));
     assert_eq!(reference_used(&tower("reference = { learn-s = 60 }"), None), None); // still learning
 }
@@ -176,7 +197,7 @@ fn baseline_stands_in_for_learning_only() {
     let baseline = tower_baseline("tower");
     let (mean, std) = reference_used(&tower("reference = { learn-s = 60 }"), Some(&baseline)).unwrap();
     assert!((mean - 0.8).abs() < 1e-12 && (std - 0.05).abs() < 1e-12);
-    assert_eq!(reference_used(&tower(""), Some(&baseline)), Some((1.0, 0.0)));
+    assert_eq!(reference_used(&tower("reference = { design-std = 0.05 }"), Some(&baseline)), Some((1.0, 0.05)));
     assert_eq!(reference_used(&tower("reference = { mean = 0.9, std = 0.1 }"), Some(&baseline)), Some((0.9, 0.1)));
 }
 

@@ -2,7 +2,7 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 
 use super::*;
-use crate::message::{Estimate, EstimateBlock, EstimateFlags, FrameBlock, Header, Phase};
+use crate::message::{Estimate, EstimateBlock, EstimateFlags, FrameBlock, Header};
 use crate::ring::{Keep, Ring};
 use crate::testing::{frames, push};
 
@@ -549,7 +549,7 @@ fn estimates(term: u64, source: &str, sequence: u64, count: usize) -> EstimateBl
         normalised_innovation_squared: 0.0,
         log_evidence: 0.0,
         used_channels: 0,
-        flags: EstimateFlags { phase: Phase::Working, restarted: false, prediction_only: false },
+        flags: EstimateFlags::working(),
     };
     EstimateBlock {
         header: Header { source: source.into(), epoch: 1, sequence, time_ns: (sequence * 5_000_000) as i64 },

@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::parameter::{ParameterDisplay, probability_below};
 use super::text::{mend_label, mend_text};
 use super::{
-    CredibleInterval, Format, Malformed, Message, RoundedProbability, check_finite, check_label, check_range,
-    check_text,
+    CredibleInterval, FitReasons, FitVerdict, Format, Malformed, Message, RoundedProbability, UndecidedBecause,
+    check_finite, check_label, check_range, check_text,
 };
 use crate::name::Name;
 
@@ -26,9 +26,25 @@ pub enum AlertState {
     Acknowledged,
     /// Was raised; the loss is gone with the credibility asked for clearing.
     Cleared,
+    /// Nothing is decided; `undecided_because` says why.
+    Undecided,
+    /// Was raised and stands, but the data do not support a decision now.
+    Unconfirmed,
 }
 
 impl AlertState {
+    /// All states.
+    pub const ALL: [Self; 8] = [
+        Self::Learning,
+        Self::Normal,
+        Self::Pending,
+        Self::Raised,
+        Self::Acknowledged,
+        Self::Cleared,
+        Self::Undecided,
+        Self::Unconfirmed,
+    ];
+
     /// The state in one word, as in the message.
     #[must_use]
     pub fn as_str(self) -> &'static str {
@@ -39,6 +55,8 @@ impl AlertState {
             Self::Raised => "raised",
             Self::Acknowledged => "acknowledged",
             Self::Cleared => "cleared",
+            Self::Undecided => "undecided",
+            Self::Unconfirmed => "unconfirmed",
         }
     }
 }
@@ -78,9 +96,46 @@ pub struct AlertMessage {
     pub acknowledged_by: Option<String>,
     /// The decision in words.
     pub why: String,
+    /// The verdict on the fit at the frame that decided; none where nobody judges it, and of what an earlier version kept.
+    #[serde(default)]
+    pub fit: Option<FitVerdict>,
+    /// Why the fit is not supported.
+    #[serde(default)]
+    pub fit_reasons: FitReasons,
+    /// Whether the filter follows a sudden change: the loss is still moving.
+    #[serde(default)]
+    pub follows_jump: bool,
+    /// Why nothing is decided now; none while alerts are decided.
+    #[serde(default)]
+    pub undecided_because: Option<UndecidedBecause>,
+    /// How often a raised alert was revised since it was raised: state and `since_ns` stay the same.
+    #[serde(default)]
+    pub revision: u32,
 }
 
 impl AlertMessage {
+    /// Returns `true` if the alert was raised and is not over, whoever has seen it and whatever the data support now.
+    #[must_use]
+    pub fn stands(&self) -> bool {
+        matches!(self.state, AlertState::Raised | AlertState::Acknowledged | AlertState::Unconfirmed)
+    }
+
+    /// Returns `true` if the alert stands and nobody has acknowledged it.
+    #[must_use]
+    pub fn is_unseen(&self) -> bool {
+        self.stands() && self.state != AlertState::Acknowledged && self.acknowledged_by.is_none()
+    }
+
+    /// Returns `true` if this says the same of the same alert as `other`, with a newer loss.
+    #[must_use]
+    pub fn revises(&self, other: &Self) -> bool {
+        let same = |alert: &Self| (alert.state, alert.since_ns, alert.rule_loss.to_bits(), alert.undecided_because);
+        self.revision > other.revision
+            && other.time_ns <= self.time_ns
+            && (&self.structure, &self.parameter) == (&other.structure, &other.parameter)
+            && same(self) == same(other)
+    }
+
     /// The same as it may be sent, of one that was kept when more was allowed.
     #[must_use]
     pub fn legible(mut self) -> Self {
@@ -97,8 +152,12 @@ impl AlertMessage {
     #[must_use]
     pub fn loss_by(&self, display: &ParameterDisplay) -> Option<String> {
         let is_open = match self.state {
-            AlertState::Pending | AlertState::Raised | AlertState::Acknowledged | AlertState::Cleared => true,
-            AlertState::Learning | AlertState::Normal => false,
+            AlertState::Pending
+            | AlertState::Raised
+            | AlertState::Unconfirmed
+            | AlertState::Acknowledged
+            | AlertState::Cleared => true,
+            AlertState::Learning | AlertState::Normal | AlertState::Undecided => false,
         };
         let reference = self.reference.filter(|reference| is_open && *reference > 0.0)?;
         if display.parameter != self.parameter || display.time_ns <= self.time_ns {
@@ -123,7 +182,7 @@ impl AlertMessage {
 
 impl Message for AlertMessage {
     const TYPE: &'static str = "alert";
-    const VERSION: u16 = 1;
+    const VERSION: u16 = 2;
     const FORMAT: Format = Format::Json;
 
     fn check(&self) -> Result<(), Malformed> {
@@ -171,6 +230,11 @@ mod tests {
             reference_std: Some(0.0),
             acknowledged_by: None,
             why: "storey-2 has lost 14 % of its stiffness".to_owned(),
+            fit: None,
+            fit_reasons: FitReasons::default(),
+            follows_jump: false,
+            undecided_because: None,
+            revision: 0,
         }
     }
 

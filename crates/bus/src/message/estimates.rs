@@ -4,29 +4,52 @@ use serde::{Deserialize, Serialize};
 
 use super::block::continues;
 use super::{
-    Block, Format, Header, MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, Malformed, Message, StreamState, bounded,
-    check_count, check_finite, check_finite_or_missing,
+    Block, FitReasons, FitVerdict, Format, Header, MAX_CHANNELS, MAX_ITEMS, MAX_MESSAGE_BYTES, Malformed, Message,
+    StreamState, bounded, check_count, check_finite, check_finite_or_missing,
 };
 use crate::grid::TimeGrid;
 
 /// Whether the filter still learns the noise or already works.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Phase {
-    /// The estimate is not to be trusted: the first frames, or a measured excitation is silent.
+    /// The noise levels are being learnt: the estimate is not to be trusted.
     Training,
     /// Normal work.
     Working,
+    /// A measured excitation delivers no samples that can be used: the estimate is not to be trusted.
+    ExcitationSilent,
 }
 
 /// What was special about one frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EstimateFlags {
-    /// Training or working.
+    /// Training, working, or without an excitation.
     pub phase: Phase,
     /// The filter was restarted from its prior at this frame.
     pub restarted: bool,
     /// No channel could be used: the estimate is the prediction.
     pub prediction_only: bool,
+    /// The verdict on the fit; none where nobody judges it: of the station of distributed identification, and of particles.
+    pub fit: Option<FitVerdict>,
+    /// Why the fit is not supported.
+    pub fit_reasons: FitReasons,
+    /// The filter follows a sudden change: the estimates are still moving.
+    pub follows_jump: bool,
+}
+
+impl EstimateFlags {
+    /// Flags of a frame of normal work on which nobody has judged the fit.
+    #[must_use]
+    pub fn working() -> Self {
+        Self {
+            phase: Phase::Working,
+            restarted: false,
+            prediction_only: false,
+            fit: None,
+            fit_reasons: FitReasons::default(),
+            follows_jump: false,
+        }
+    }
 }
 
 /// What is identified at one frame.
@@ -129,7 +152,7 @@ fn check_length(what: &'static str, found: usize, expected: usize) -> Result<(),
 
 impl Message for EstimateBlock {
     const TYPE: &'static str = "estimates";
-    const VERSION: u16 = 2;
+    const VERSION: u16 = 3;
     const FORMAT: Format = Format::Postcard;
 
     fn check(&self) -> Result<(), Malformed> {

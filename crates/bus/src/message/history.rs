@@ -103,7 +103,7 @@ impl Message for HistorySpan {
 
 impl Message for HistoryLog {
     const TYPE: &'static str = "history-log";
-    const VERSION: u16 = 1;
+    const VERSION: u16 = 2;
     const FORMAT: Format = Format::Json;
 
     fn check(&self) -> Result<(), Malformed> {

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Format, Malformed, Message, Pace, bounded, check_count, check_finite, check_label};
+use super::{
+    FitVerdict, Format, Malformed, Message, Pace, UndecidedBecause, bounded, check_count, check_finite, check_label,
+};
 use crate::name::Name;
 
 /// Most reasons in one status: they come from a closed set.
@@ -77,6 +79,12 @@ pub struct Status {
     /// Frames that ingest has made and this service has not done, where that is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frames_behind: Option<u64>,
+    /// The verdict on the fit after the last frame, of identify.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fit: Option<FitVerdict>,
+    /// Number of watched parameters on which nothing is decided, by reason, of alert.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub undecided: BTreeMap<UndecidedBecause, u64>,
     /// What was dropped, lost or mended, counted by reason since the start.
     #[serde(deserialize_with = "bounded::counts::<_, MAX_REASONS>")]
     pub drops: BTreeMap<String, u64>,
@@ -134,6 +142,8 @@ mod tests {
             done: 7,
             load: None,
             frames_behind: None,
+            fit: None,
+            undecided: BTreeMap::new(),
             drops: BTreeMap::new(),
             restarts: 0,
             version: String::new(),

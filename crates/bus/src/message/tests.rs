@@ -40,7 +40,7 @@ fn estimate() -> Estimate {
         normalised_innovation_squared: 1.0,
         log_evidence: -3.0,
         used_channels: 1,
-        flags: EstimateFlags { phase: Phase::Working, restarted: false, prediction_only: false },
+        flags: EstimateFlags::working(),
     }
 }
 
@@ -267,6 +267,7 @@ proptest! {
         total::<NoiseDisplay>(&bytes)?;
         total::<OutlierDisplay>(&bytes)?;
         total::<ModelClassDisplay>(&bytes)?;
+        total::<FitDisplay>(&bytes)?;
         total::<Event>(&bytes)?;
         total::<AlertMessage>(&bytes)?;
         total::<Acknowledgement>(&bytes)?;

@@ -53,3 +53,20 @@ fn only_a_page_of_this_server_may_send() {
         assert_eq!(check_origin(&headers(Some(other))).unwrap_err().status, StatusCode::FORBIDDEN, "{other}");
     }
 }
+
+#[test]
+fn unconfirmed_alert_can_be_acknowledged_once() {
+    use crate::store::Input;
+    use crate::testing::{alert, demo, undecided};
+    let mut store = demo();
+    store.handle(undecided("storey-2", AlertState::Unconfirmed, spandrel_bus::UndecidedBecause::FitContradicted));
+    assert_eq!(check_acknowledgeable(&store, "storey-2").ok(), Some(AlertState::Unconfirmed));
+    let seen = spandrel_bus::AlertMessage {
+        acknowledged_by: Some("Ada".into()),
+        ..alert("storey-2", 6, AlertState::Unconfirmed)
+    };
+    store.handle(Input::Alert(seen));
+    assert_eq!(check_acknowledgeable(&store, "storey-2").unwrap_err().status, StatusCode::CONFLICT);
+    store.handle(undecided("storey-1", AlertState::Undecided, spandrel_bus::UndecidedBecause::FitContradicted));
+    assert_eq!(check_acknowledgeable(&store, "storey-1").unwrap_err().status, StatusCode::CONFLICT);
+}

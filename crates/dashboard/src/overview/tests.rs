@@ -1,7 +1,9 @@
 use super::*;
 use crate::store::Input;
-use crate::testing::{alert, at, demo, name, parameter};
-use spandrel_bus::{Estimate, EstimateBlock, EstimateFlags, Event, Header, Pace, Progress, Status, StreamState};
+use crate::testing::{alert, at, demo, fit, name, parameter, undecided};
+use spandrel_bus::{
+    Estimate, EstimateBlock, EstimateFlags, Event, FitReason, Header, Pace, Progress, Status, StreamState,
+};
 
 fn raised_among_others() -> Store {
     let mut store = demo();
@@ -161,7 +163,7 @@ fn estimates_without_the_third_channel() -> EstimateBlock {
         normalised_innovation_squared: 4.0,
         log_evidence: 0.0,
         used_channels: 4,
-        flags: EstimateFlags { phase: Phase::Working, restarted: false, prediction_only: false },
+        flags: EstimateFlags::working(),
     };
     EstimateBlock {
         header: Header { source: "identify".into(), epoch: 1, sequence: 0, time_ns: 0 },
@@ -251,6 +253,8 @@ fn status(service: Service, time_ns: i64, pace: Option<Pace>) -> Input {
         pace,
         load: None,
         frames_behind: None,
+        fit: None,
+        undecided: std::collections::BTreeMap::new(),
         state: None,
         done: 1,
         drops: std::collections::BTreeMap::new(),
@@ -306,4 +310,56 @@ fn where_nothing_comes_there_is_no_lag_to_tell() {
     store.handle(at(4.0));
     let found = overview(&store);
     assert_eq!((found.lag_s, found.age_s), (None, Some(4.0)));
+}
+
+#[test]
+fn undecided_alerts_warn_where_something_is_wrong_and_not_where_little_is_learnt() {
+    use UndecidedBecause::{ExcitationSilent, FitContradicted, NoiseTraining, NothingLearnt, ParameterAtBound};
+    for (because, level) in [
+        (NothingLearnt, Level::Undecided),
+        (NoiseTraining, Level::Undecided),
+        (ExcitationSilent, Level::Warning),
+        (FitContradicted, Level::Warning),
+        (ParameterAtBound, Level::Warning),
+    ] {
+        let mut store = demo();
+        store.handle(parameter("storey-1", 1, 1.0, 0.001));
+        store.handle(Input::Alert(alert("storey-1", 1, AlertState::Normal)));
+        store.handle(undecided("storey-2", AlertState::Undecided, because));
+        let found = overview(&store);
+        assert_eq!((found.level, found.sentence.as_str()), (level, "storey-2 is undecided"), "{because:?}");
+    }
+}
+
+#[test]
+fn unconfirmed_alert_is_an_alarm_until_somebody_has_seen_it() {
+    let mut store = demo();
+    store.handle(parameter("storey-1", 1, 1.0, 0.001));
+    let because = UndecidedBecause::FitContradicted;
+    store.handle(undecided("storey-2", AlertState::Unconfirmed, because));
+    let found = overview(&store);
+    assert_eq!((found.level, found.raised, found.sentence.as_str()), (Level::Alarm, 1, "storey-2 is unconfirmed"));
+    let seen = AlertMessage {
+        acknowledged_by: Some("Ada".into()),
+        undecided_because: Some(because),
+        ..alert("storey-2", 6, AlertState::Unconfirmed)
+    };
+    store.handle(Input::Alert(seen));
+    let found = overview(&store);
+    assert_eq!((found.level, found.raised), (Level::Notice, 0));
+}
+
+#[test]
+fn contradicted_fit_warns_also_where_no_rule_watches() {
+    let mut store = demo();
+    store.handle(parameter("storey-1", 1, 1.0, 0.001));
+    store.handle(fit(FitVerdict::Contradicted, &[FitReason::ExcessNoise]));
+    let found = overview(&store);
+    let words = "the data contradict the model: the noise found is much larger than the noise stated";
+    assert_eq!(
+        (found.level, found.sentence.as_str(), found.fit),
+        (Level::Warning, words, Some(FitVerdict::Contradicted))
+    );
+    store.handle(fit(FitVerdict::Doubtful, &[FitReason::ExcessNoise]));
+    assert_eq!(overview(&store).level, Level::Learning);
 }

@@ -105,3 +105,25 @@ fn data_are_old_after_a_silence() {
     store.handle(at(13.1));
     assert!(store.is_stale());
 }
+
+#[test]
+fn revisions_are_one_change_with_the_newest_loss() {
+    let revised = |time_ns, revision, loss| AlertMessage {
+        revision,
+        loss: Some(loss),
+        ..alert("storey-2", time_ns, AlertState::Raised)
+    };
+    let mut store = demo();
+    store.handle(Input::Alert(revised(1, 0, 0.1)));
+    store.handle(Input::Alert(alert("storey-1", 2, AlertState::Raised)));
+    store.handle(Input::Alert(revised(3, 1, 0.2)));
+    store.handle(Input::Alert(revised(5, 2, 0.3)));
+    // what the history tells is no news
+    let alerts = vec![revised(1, 0, 0.1), revised(3, 1, 0.2)];
+    let past = HistoryLog { structure: name("demo"), alerts, acknowledgements: vec![], events: vec![] };
+    store.handle(Input::Past(past));
+    let changes: Vec<_> = store.changes.iter().map(|change| (change.parameter.as_str(), change.loss)).collect();
+    assert_eq!(changes.len(), 2);
+    assert_eq!(changes[1], ("storey-2", Some(0.3)));
+    assert_eq!(store.alerts["storey-2"].revision, 2);
+}

@@ -649,6 +649,8 @@ impl<S: ComponentSystem> ClassBank<S> {
             upper: reduce(&template.upper, &|members| {
                 members.iter().map(|n| entry(&template.upper, *n) / factors[*n]).fold(f64::INFINITY, f64::min)
             }),
+            considered_std: DVector::zeros(len),
+            misfit: None,
             ..template.clone()
         };
         for (low, high) in settings.lower.iter_mut().zip(&settings.upper) {

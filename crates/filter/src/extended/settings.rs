@@ -3,8 +3,9 @@
 use crate::discretise::InputHold;
 use crate::error::FilterError;
 use crate::fading::FadingFactor;
+use crate::misfit::MisfitSettings;
 use crate::model::{ObservationModel, ProcessModel};
-use crate::noise::{NoiseModel, NoiseSettings};
+use crate::noise::{NoiseModel, NoiseSettings, NoiseTarget};
 use crate::outlier::OutlierSettings;
 use crate::update::CovarianceForm;
 use nalgebra::DVector;
@@ -47,6 +48,12 @@ pub struct FilterSettings {
     pub outliers: Option<OutlierSettings>,
     /// Start-up aid, if any.
     pub annealing: Option<Annealing>,
+    /// How misfit is measured and answered; `None` trusts the model.
+    pub misfit: Option<MisfitSettings>,
+    /// Standard deviation of each entry of the state that no datum can reduce (n): the published covariance includes it.
+    ///
+    /// A parameter that is identified by way of an assumption has the deviation here that follows from the assumption.
+    pub considered_std: DVector<f64>,
     /// How a known excitation runs between frames.
     pub input_hold: InputHold,
     /// The form of the covariance update.
@@ -70,9 +77,20 @@ impl FilterSettings {
             noise_settings: NoiseSettings::default(),
             outliers: None,
             annealing: None,
+            misfit: None,
+            considered_std: DVector::zeros(n),
             input_hold: InputHold::Zero,
             covariance_form: CovarianceForm::Symmetric,
         }
+    }
+
+    /// Returns the variance of the noise of each channel before anything is identified (N_0).
+    pub(crate) fn stated_noise(&self) -> impl Iterator<Item = f64> {
+        let identified = |channel: usize| -> f64 {
+            let of_sensors = self.noise.parameters.iter().filter(|parameter| parameter.target == NoiseTarget::Sensors);
+            of_sensors.map(|parameter| parameter.start * parameter.pattern[(channel, channel)]).sum()
+        };
+        (0..self.noise.sensors.nrows()).map(move |channel| self.noise.sensors[(channel, channel)] + identified(channel))
     }
 
     pub(crate) fn check(&self, model: &(impl ProcessModel + ObservationModel)) -> Result<(), FilterError> {
@@ -83,6 +101,7 @@ impl FilterSettings {
             ("variance bound", self.variance_bound.len()),
             ("lower limit", self.lower.len()),
             ("upper limit", self.upper.len()),
+            ("considered standard deviation", self.considered_std.len()),
         ];
         for (what, found) in vectors {
             if found != n {

@@ -1,6 +1,8 @@
 //! What a filter knows between two steps.
 
 use super::settings::FilterSettings;
+use crate::fit::FitState;
+use crate::misfit::MisfitState;
 use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::NoiseState;
 use crate::outlier::OutlierState;
@@ -15,7 +17,11 @@ pub struct FilterState {
     pub(super) covariance: DMatrix<f64>,
     pub(super) noise: NoiseState,
     pub(super) outliers: Option<OutlierState>,
+    pub(super) misfit: Option<MisfitState>,
+    pub(super) fit: Option<FitState>,
     pub(super) steps: u64,
+    /// step from which the start-up aid counts: the start, or the last jump of the parameters
+    pub(super) annealed_from: u64,
     /// the coming frame finds the prior of the motion: it is not predicted
     pub(super) fresh: bool,
     /// the known excitation of the last frame, NaN where it was missing (N_f)
@@ -43,6 +49,16 @@ impl FilterState {
         self.outliers.as_ref().map_or(0, |outliers| outliers.channels().len())
     }
 
+    /// Returns the number of parameters whose misfit is measured.
+    pub(super) fn misfit_len(&self) -> usize {
+        self.misfit.as_ref().map_or(0, MisfitState::parameter_len)
+    }
+
+    /// Returns the number of values that the measures of fit remember; 0 where their own lengths disagree.
+    pub(super) fn fit_len(&self) -> usize {
+        self.fit.as_ref().map_or(0, FitState::remembered_len)
+    }
+
     /// Returns the state at the prior.
     pub(super) fn start(model: &(impl ProcessModel + ObservationModel), settings: &FilterSettings) -> Self {
         let (n, inputs) = (model.state_len(), model.excitation_len());
@@ -51,7 +67,10 @@ impl FilterState {
             covariance: DMatrix::from_diagonal(&settings.prior_std.map(|std| std * std)),
             noise: NoiseState::start(&settings.noise, &settings.noise_settings),
             outliers: settings.outliers.map(|outliers| OutlierState::new(&outliers, model.observation_len())),
+            misfit: settings.misfit.map(|_| MisfitState::new(model.parameter_len())),
+            fit: settings.misfit.map(|misfit| FitState::new(&misfit, settings.stated_noise(), inputs)),
             steps: 0,
+            annealed_from: 0,
             fresh: true,
             last_excitation: DVector::zeros(inputs),
             excitation_mean_square: DVector::zeros(inputs),

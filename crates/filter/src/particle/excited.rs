@@ -22,6 +22,9 @@ use nalgebra::{DMatrix, DVector};
 /// A pivot below this share of its diagonal entry is a direction in which the excitation does not vary.
 const ZERO_PIVOT: f64 = 1e-14;
 
+/// A particle that needs so many times the substeps of the prior has diverged. It would take as long as all others together.
+const DIVERGED_SUBSTEPS: usize = 20;
+
 /// A [`ProcessModel`] and [`ObservationModel`] whose particles differ by unknown excitation and drifting parameters.
 ///
 /// State: `[y, w]`, the state `y` (n) of the model with its parameters last, and the excitation `w` (N_f) of the last frame
@@ -44,6 +47,8 @@ pub struct ExcitedSystem<M> {
     excitation_factor: DMatrix<f64>,
     missing_factor: DMatrix<f64>,
     work: Workspace,
+    /// substeps from which on a particle counts as diverged
+    most_substeps: usize,
 }
 
 #[derive(Debug, Clone)]
@@ -88,7 +93,11 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
         }
         check_drift(drift_std.as_slice())?;
         let square = || DMatrix::zeros(inputs, inputs);
+        let mut model = model;
+        model.linearise_process(settings.prior_mean.as_slice(), &vec![0.0; inputs]);
+        let most_substeps = DIVERGED_SUBSTEPS * Series::choose(model.rate_bound(), settings.step_s).substeps;
         let mut system = Self {
+            most_substeps,
             step_s: settings.step_s,
             input_hold: settings.input_hold,
             drift_std,
@@ -210,6 +219,11 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ExcitedSystem<M> {
         ramp.gemv(-1.0 / *step_s, input_matrix, older, 1.0);
     }
 
+    /// Returns `true` if the motion at which the model is linearised needs far more substeps than that of the prior.
+    fn has_diverged(&self) -> bool {
+        Series::choose(self.model.rate_bound(), self.step_s).substeps > self.most_substeps
+    }
+
     /// Linearises the process at a state with the excitation that acts on it over the step.
     fn linearise_motion(&mut self, state: &[f64], noise: &[f64], interval: Interval<'_>) {
         let n = self.model.state_len();
@@ -258,6 +272,10 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ParticleModel for Excite
                 state[first + j] = reflect(moved, self.lower[first + j], self.upper[first + j]);
             }
             self.linearise_motion(state, noise, interval);
+            if self.has_diverged() {
+                state.fill(f64::NAN); // which takes the particle out
+                return;
+            }
             self.model.derivative(self.work.increment.as_mut_slice());
             if self.input_hold == InputHold::First {
                 self.model.excitation_matrix(&mut self.work.input_matrix);
@@ -321,6 +339,10 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> ParticleModel for Excite
         if interval.previous.is_some() {
             self.take_known(interval);
             self.linearise_motion(state, &disturbance[..inputs], interval);
+            if self.has_diverged() {
+                output.fill(f64::NAN); // no density from here, and no weight after the step
+                return;
+            }
             self.predict_columns(interval, moved, direct);
         }
         if direct {

@@ -115,6 +115,7 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         Ok(ParticleStep {
             log_evidence: step.log_evidence,
             used_channels: step.used_channels,
+            normalised_innovation_squared: step.normalised_innovation_squared,
             effective_size: self.particles.settings().particles as f64,
             coefficient_of_variation: 0.0,
             resampled: false,
@@ -124,6 +125,11 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     /// Returns the particle filter, or `None` while the Kalman filter runs.
     pub fn particles(&mut self) -> Option<&mut ParticleFilter<ExcitedSystem<M>>> {
         (self.left == 0).then_some(&mut self.particles)
+    }
+
+    /// Returns the number of particles.
+    pub fn particle_count(&self) -> usize {
+        self.particles.settings().particles
     }
 
     /// Returns the Kalman filter; it stands still once the particles run.
@@ -146,6 +152,11 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         } else {
             Some(self.particles.std()[component])
         }
+    }
+
+    /// Returns the innovation of the last step (N_0, sensor units), from whichever filter runs; NaN where a channel was missing.
+    pub fn innovation(&self) -> &[f64] {
+        if self.left > 0 { self.kalman.innovation().as_slice() } else { self.particles.innovation() }
     }
 
     /// Returns the length of the state of the particles: that of the model, and the excitation of one with a direct term.

@@ -60,6 +60,9 @@ impl<M: ParticleModel> Worker<M> {
 
     /// Moves a particle to the frame `datum` (q, NaN where missing) and returns the logarithm of what its weight is
     /// multiplied with; minus infinity takes it out.
+    ///
+    /// `predicted` (q) becomes a draw of what the particle predicts of the frame, without sensor noise: `y₀ + J w` with `w`
+    /// from its prior.
     pub(super) fn advance(
         &mut self,
         density: ImportanceDensity,
@@ -67,24 +70,39 @@ impl<M: ParticleModel> Worker<M> {
         datum: &[f64],
         rng: &mut ChaCha8Rng,
         state: &mut [f64],
+        predicted: &mut [f64],
     ) -> f64 {
         fill_normal(self.disturbance.as_mut_slice(), rng);
         let correction = match density {
             ImportanceDensity::Prior => 0.0,
-            ImportanceDensity::Optimal => self.draw_optimal(interval, datum, rng, state),
+            ImportanceDensity::Optimal => self.draw_optimal(interval, datum, rng, state, predicted),
         };
         self.model.propagate(interval, self.disturbance.as_slice(), state);
         if !state.iter().all(|value| value.is_finite()) {
             return f64::NEG_INFINITY;
         }
         let weight = correction + self.log_likelihood(interval, datum, state);
+        if density == ImportanceDensity::Prior {
+            predicted.copy_from_slice(self.output.as_slice());
+        }
         if weight.is_finite() { weight } else { f64::NEG_INFINITY }
     }
 
     /// Moves the disturbance from its prior to the density of one extended Kalman step; returns `ln p(w) − ln q(w)`.
-    fn draw_optimal(&mut self, interval: Interval<'_>, datum: &[f64], rng: &mut ChaCha8Rng, state: &[f64]) -> f64 {
+    fn draw_optimal(
+        &mut self,
+        interval: Interval<'_>,
+        datum: &[f64],
+        rng: &mut ChaCha8Rng,
+        state: &[f64],
+        predicted: &mut [f64],
+    ) -> f64 {
         fill_normal(self.noise.as_mut_slice(), rng);
         self.model.linearise(interval, state, self.output.as_mut_slice(), &mut self.jacobian, &mut self.differences);
+        for (j, predicted) in predicted.iter_mut().enumerate() {
+            let moved = self.jacobian.row(j).iter().zip(self.disturbance.iter()).map(|(a, b)| a * b).sum::<f64>();
+            *predicted = self.output[j] + moved; // y₀ + J w₀
+        }
         if self.whiten_residual(datum, state).is_none() || !self.whiten_jacobian(datum) {
             return 0.0; // no sensible density from here: the prior is always right
         }

@@ -118,6 +118,11 @@ fn alert(seconds: i64, state: AlertState) -> AlertMessage {
         reference_std: None,
         acknowledged_by: None,
         why: "storey-2 has lost 10 %".to_owned(),
+        fit: None,
+        fit_reasons: spandrel_bus::FitReasons::default(),
+        follows_jump: false,
+        undecided_because: None,
+        revision: 0,
     }
 }
 
@@ -168,6 +173,33 @@ async fn a_file_keeps_and_answers() {
     let database = file(folder.path()).await;
     let log = database.log(STRUCTURE, &name("demo"), &from_s(0)).await.unwrap();
     assert_eq!(log.alerts.len(), 4);
+}
+
+/// Revisions of an alert that come in several batches.
+async fn keeps_the_last_revision(database: &Database) {
+    let revised = |seconds, revision, since_ns| AlertMessage {
+        since_ns,
+        revision,
+        loss: Some(0.1 + 0.01 * f64::from(revision)),
+        ..alert(seconds, AlertState::Raised)
+    };
+    // a second alert begins at 30 s
+    let first = [(10, 0, Some(1)), (11, 1, Some(1)), (12, 2, Some(1)), (15, 5, Some(1))];
+    let second = [(30, 0, Some(2)), (31, 1, Some(2)), (33, 2, Some(2))];
+    for (number, (seconds, revision, since_ns)) in (1..).zip(first.into_iter().chain(second)) {
+        let mut collector = Collector::new(&demo(), "spandrel");
+        collector.handle(Input::Alert(revised(seconds, revision, since_ns)));
+        database.write("revisions", &[Arc::new(collector.take(number).unwrap())]).await.unwrap();
+    }
+    let log = database.log(STRUCTURE, &name("demo"), &from_s(0)).await.unwrap();
+    let kept: Vec<_> = log.alerts.iter().map(|alert| (alert.time_ns - START_NS, alert.revision)).collect();
+    assert_eq!(kept, [(10, 0), (15, 5), (30, 0), (33, 2)].map(|(seconds, revision)| (seconds * SECOND_NS, revision)));
+}
+
+#[tokio::test]
+async fn an_alert_that_is_revised_has_two_rows() {
+    let folder = tempfile::tempdir().unwrap();
+    keeps_the_last_revision(&file(folder.path()).await).await;
 }
 
 /// A PostgreSQL server of its own, in a folder of its own, which listens on a socket in there.

@@ -3,6 +3,7 @@
 use super::{Address, Series};
 use crate::batch::{Batch, Happened};
 use crate::sums::Sums;
+use spandrel_bus::AlertMessage;
 use sqlx::{AnyConnection, AssertSqlSafe, Executor, Row};
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -293,6 +294,12 @@ fn placeholders(rows: usize, columns: usize) -> String {
 }
 
 async fn insert_happened(connection: &mut AnyConnection, structure: &str, happened: &Happened) -> Result<(), Failed> {
+    if let Happened::Alert(alert) = happened
+        && alert.revision > 0
+        && replace_revision(connection, structure, alert).await?
+    {
+        return Ok(());
+    }
     let (time_ns, kind, subject, state, message) = match happened {
         Happened::Alert(m) => {
             (m.time_ns, "alert", m.parameter.to_string(), m.state.as_str().to_owned(), serde_json::to_string(m)?)
@@ -310,4 +317,31 @@ async fn insert_happened(connection: &mut AnyConnection, structure: &str, happen
     let insert = sqlx::query(statement).bind(structure.to_owned()).bind(time_ns).bind(kind).bind(subject);
     insert.bind(state).bind(message).execute(connection).await?;
     Ok(())
+}
+
+/// Puts a revision of an alert in the place of the one before it, so that an alert has two rows at most: what was said first, and
+/// what was said last. Returns `false` where it is the first revision.
+async fn replace_revision(
+    connection: &mut AnyConnection,
+    structure: &str,
+    alert: &AlertMessage,
+) -> Result<bool, Failed> {
+    let (subject, state) = (alert.parameter.to_string(), alert.state.as_str());
+    let statement = "SELECT time_ns, message FROM happened WHERE structure = $1 AND kind = 'alert' AND subject = $2 \
+                     AND state = $3 AND time_ns <= $4 ORDER BY time_ns DESC LIMIT 1";
+    let select = sqlx::query(statement).bind(structure.to_owned()).bind(subject.clone()).bind(state);
+    let Some(row) = select.bind(alert.time_ns).fetch_optional(&mut *connection).await? else {
+        return Ok(false);
+    };
+    let (time_ns, message) = (row.try_get::<i64, _>(0)?, row.try_get::<String, _>(1)?);
+    let before = serde_json::from_str::<AlertMessage>(&message)?;
+    if before.revision == 0 || !alert.revises(&before) {
+        return Ok(false);
+    }
+    let statement = "UPDATE happened SET time_ns = $1, message = $2 \
+                     WHERE structure = $3 AND time_ns = $4 AND kind = 'alert' AND subject = $5 AND state = $6";
+    let update = sqlx::query(statement).bind(alert.time_ns).bind(serde_json::to_string(alert)?);
+    let update = update.bind(structure.to_owned()).bind(time_ns).bind(subject).bind(state);
+    update.execute(connection).await?;
+    Ok(true)
 }

@@ -2,6 +2,7 @@
 
 use super::hearing::{Heard, Spans};
 use super::{Identification, Output, Stream};
+use crate::estimator::Estimator;
 use spandrel_bus::{Event, EventKind};
 use spandrel_filter::{NoiseRule, OutlierChange, Step};
 
@@ -94,6 +95,23 @@ impl Identification {
             ));
         }
         self.since_clipped = if clips { Some(0) } else { self.since_clipped.map(|frames| frames + 1) };
+    }
+
+    /// Reports when particles lose the state, and when they follow the data again.
+    pub(super) fn tell_particles(&self, time_ns: i64, had_lost: bool, outputs: &mut Vec<Output>) {
+        let Estimator::Particles(particles) = &self.estimator else { return };
+        let Some(health) = particles.health().filter(|health| health.is_lost() != had_lost) else { return };
+        let why = format!(
+            "{:.0} of {} particles count, and the innovations squared are {:.1} times what they predict",
+            health.effective_share() * particles.count() as f64,
+            particles.count(),
+            health.misfit(),
+        );
+        let (kind, what) = match health.is_lost() {
+            true => (EventKind::Unidentified, "the particles have lost the state: no alert is decided on"),
+            false => (EventKind::Calibration, "the particles follow the data again"),
+        };
+        outputs.push(self.event(time_ns, kind, what, &why));
     }
 
     /// Tells what changed for a channel, as an event and on its topic.

@@ -27,7 +27,7 @@ pub struct IdentificationState {
 
 impl IdentificationState {
     /// Version of the layout: raised with every change of a field here or in the states below.
-    pub const VERSION: u16 = 1;
+    pub const VERSION: u16 = 2;
 }
 
 impl Identification {
@@ -71,6 +71,9 @@ impl Identification {
         self.estimator.restore(state.estimator)?;
         self.band_limit = state.band_limit;
         self.stream = state.stream;
+        if self.stream.is_some() {
+            self.fit.resume(&self.estimator);
+        }
         self.screening = state.screening;
         if let Some(classes) = &mut self.classes {
             classes.set_calibration(state.calibration);

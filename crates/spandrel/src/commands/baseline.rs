@@ -1,14 +1,14 @@
 //! `spandrel baseline`: the sound values of the parameters, learnt from recordings.
 
-use super::{print, refuse_overwriting};
+use super::{counted, print, refuse_overwriting};
 use crate::cli::BaselineArguments;
 use crate::error::AppError;
-use crate::{offline, record_source};
-use spandrel_alert::{Baseline, RecordSummary};
+use crate::offline;
+use spandrel_alert::{Baseline, BetweenRecords, RecordSummary};
 use spandrel_bus::Phase;
 use spandrel_identify::Identification;
-use spandrel_sensor::recorded_rows;
-use spandrel_structure::Structure;
+use spandrel_sensor::{open_record, recorded_rows};
+use spandrel_structure::{Reference, Structure};
 use std::fmt::Write as _;
 
 /// Identifies each recording from its start and writes mean and spread of each parameter.
@@ -25,7 +25,7 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
     let skipped = (arguments.skip * structure.sampling_rate_hz()) as u64;
     let mut records = Vec::new();
     for path in &arguments.record {
-        let recording = record_source::open(&structure, path)?;
+        let recording = open_record(&structure, path)?;
         let mut frames: Vec<Vec<(f64, f64)>> = Vec::new();
         let identification = Identification::new(&structure, "identify")?;
         offline::identify(&structure, identification, recorded_rows(recording, 0), None, |block, _| {
@@ -41,14 +41,55 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
         records.push(RecordSummary::from_estimates(frames).ok_or_else(nothing)?);
     }
     let names: Vec<&str> = structure.parameters().iter().map(|parameter| parameter.name()).collect();
-    let baseline = Baseline::from_records(structure.name(), &names, &records)?;
+    let between = arguments.between_std.map_or(BetweenRecords::Estimated, BetweenRecords::Stated);
+    let baseline = Baseline::from_records(structure.name(), &names, &records, between)?;
     baseline.write(&arguments.output)?;
-    let mut text = format!("sound values of {} from {} recordings\n", structure.name(), records.len());
-    for name in &names {
-        if let Some(reference) = baseline.reference(name) {
-            // writing to a String does not fail
-            let _ = writeln!(text, "  {name:<24} {:.4} ± {:.4}", reference.mean(), reference.std());
+    print(&report(&structure, &baseline))
+}
+
+/// What the baseline holds, and which losses the rules can raise against it.
+fn report(structure: &Structure, baseline: &Baseline) -> String {
+    let recordings = counted(baseline.records(), "recording", "recordings");
+    let mut text = format!("sound values of {} from {recordings}\n", structure.name());
+    for (index, parameter) in structure.parameters().iter().enumerate() {
+        let name = parameter.name();
+        // writing to a String does not fail
+        let _ = match (baseline.claim(name), baseline.parameter(name)) {
+            (Some(Ok(reference)), _) => {
+                let support = reference.scatter().map_or("scatter between records as stated".to_owned(), |scatter| {
+                    counted(scatter.degrees_of_freedom.round() as usize, "degree of freedom", "degrees of freedom")
+                });
+                writeln!(text, "  {name:<24} {:.4} ± {:.4} ({support})", reference.mean(), reference.std())
+            }
+            (Some(Err(error)), Some(found)) => writeln!(
+                text,
+                "  {name:<24} {:.4} ± {:.4} within a record\n    no reference for other records: {error}",
+                found.mean, found.within_std
+            ),
+            _ => Ok(()),
+        };
+        for line in claims(structure, baseline, index) {
+            let _ = writeln!(text, "    {line}");
         }
     }
-    print(&text)
+    text
+}
+
+/// From which loss on each rule that learns its reference can raise a parameter, in words.
+fn claims(structure: &Structure, baseline: &Baseline, index: usize) -> Vec<String> {
+    let Some(parameter) = structure.parameters().get(index) else { return Vec::new() };
+    let Some(reference) = baseline.reference(parameter.name()) else { return Vec::new() };
+    let rules = structure.alert_rules().iter();
+    let learning = rules.filter(|rule| matches!(rule.reference, Reference::Baseline { .. }));
+    let of_rule = |rule: &spandrel_structure::AlertRule| {
+        let asked = format!("more than {:.0} % with probability {}", 100.0 * rule.loss, rule.credibility);
+        match reference.largest_credible(rule.loss, rule.credibility) {
+            Some(estimate) => {
+                let loss = 100.0 * (1.0 - estimate / reference.mean());
+                format!("{asked}: raised from a loss of {loss:.0} % on")
+            }
+            None => format!("{asked}: never raised, because these records are too few"),
+        }
+    };
+    learning.filter(|rule| rule.parameters.contains(&index)).map(of_rule).collect()
 }

@@ -8,6 +8,7 @@ use crate::error::AppError;
 use crate::services::{Running, Share, Watched, block_on, epoch_now, interrupted};
 use crate::settings::Settings;
 use crate::summary::{Collector, Summary};
+use spandrel_alert::Watch;
 use spandrel_bus::{
     AlertMessage, AlertState, Bus, Delivery, EstimateBlock, Event, EventKind, Keys, NodeDisplay, OutlierDisplay,
     Service, Start, StreamState, Subscription,
@@ -147,11 +148,14 @@ async fn collect(bus: &Bus, watched: &Watched, arguments: &DemoArguments) -> Res
     };
     let mut decided = bus.watch_progress(keys.progress(Service::Alert)).await?;
     let mut collector = Collector::new(structure);
+    // the alert service decides on the same estimates; how often it did is not on the bus
+    let mut watch = Watch::new(structure, None)?;
     loop {
         tokio::select! {
             delivery = estimates.deliveries().recv_async() => match delivery {
                 Ok(Delivery::Block(block)) => {
                     collector.take_estimates(&block);
+                    watch.handle_block(&block, &mut Vec::new())?;
                     if block.state == StreamState::Ended {
                         break;
                     }
@@ -175,6 +179,7 @@ async fn collect(bus: &Bus, watched: &Watched, arguments: &DemoArguments) -> Res
     if let Some(nodes) = &nodes {
         nodes.gather(&mut collector, arguments)?;
     }
+    collector.take_decided(&watch);
     Ok(collector.finish())
 }
 

@@ -9,7 +9,7 @@ use spandrel_alert::Baseline;
 use spandrel_bus::EstimateBlock;
 use spandrel_identify::{Estimator, Identification, IdentifyError};
 use spandrel_record::EstimateWriter;
-use spandrel_sensor::recorded_rows;
+use spandrel_sensor::{open_record, recorded_rows};
 use spandrel_structure::Structure;
 use tracing::warn;
 
@@ -25,16 +25,16 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
         let inputs = [Some(&arguments.structure), Some(&arguments.record), arguments.baseline.as_ref()];
         refuse_overwriting(output, inputs.into_iter().flatten().map(|path| path.as_path()))?;
     }
-    if let (FilterChoice::Kalman, Some(option)) = (arguments.filter, arguments.particle.given()) {
+    if let (FilterChoice::File | FilterChoice::Kalman, Some(option)) = (arguments.filter, arguments.particle.given()) {
         return Err(AppError::ParticlesOnly { option });
     }
     let structure = Structure::read(&arguments.structure)?;
-    let recording = record_source::open(&structure, &arguments.record)?;
+    let recording = open_record(&structure, &arguments.record)?;
     let baseline = arguments.baseline.as_deref().map(Baseline::read).transpose()?;
     if let (Some(baseline), Some(path)) = (&baseline, &arguments.baseline) {
         tell_unused_baseline(&structure, baseline, path);
     }
-    let by_nodes = structure.fusion().is_some() && arguments.filter == FilterChoice::Kalman;
+    let by_nodes = structure.fusion().is_some() && arguments.filter != FilterChoice::Particle;
     let one_filter = if by_nodes { None } else { Some(identification(&structure, arguments)?) };
     let names = match &one_filter {
         Some(identification) => columns(&structure, identification),
@@ -70,8 +70,13 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
 /// Makes the filter that is asked for.
 fn identification(structure: &Structure, arguments: &EstimateArguments) -> Result<Identification, AppError> {
     const ID: &str = "identify";
+    let refused = |source| IdentifyError::Filter { structure: structure.name().to_owned(), source };
     match arguments.filter {
-        FilterChoice::Kalman => Ok(Identification::new(structure, ID)?),
+        FilterChoice::File => Ok(Identification::new(structure, ID)?),
+        FilterChoice::Kalman => {
+            let estimator = Estimator::kalman(structure).map_err(refused)?;
+            Ok(Identification::with_estimator(structure, ID, estimator)?)
+        }
         FilterChoice::Particle => {
             if structure.has_classes() || structure.screens_outliers() {
                 warn!("particles take all parameters singly and every sample: [classes] and [outliers] are not used");
@@ -84,7 +89,6 @@ fn identification(structure: &Structure, arguments: &EstimateArguments) -> Resul
                 );
             }
             let plan = arguments.particle.plan();
-            let refused = |source| IdentifyError::Filter { structure: structure.name().to_owned(), source };
             let estimator = Estimator::with_particles(structure, &plan).map_err(refused)?;
             Ok(Identification::with_estimator(structure, ID, estimator)?)
         }

@@ -8,7 +8,7 @@ use crate::role_check::{Need, Work, check};
 use crate::services::{block_on, epoch_now, interrupted};
 use crate::settings::Settings;
 use spandrel_bus::Bus;
-use spandrel_sensor::{Clocks, NodePlan, SensorError, SensorService, SensorSettings, recorded_rows};
+use spandrel_sensor::{Clocks, NodePlan, SensorError, SensorService, SensorSettings, open_record, recorded_rows};
 use spandrel_structure::Structure;
 
 /// Replays until the end of the recording, or Ctrl-C.
@@ -17,7 +17,7 @@ use spandrel_structure::Structure;
 /// When a file is wrong, or the bus cannot be joined.
 pub fn run(arguments: ReplayArguments) -> Result<(), AppError> {
     let structure = Structure::read(&arguments.structure)?;
-    let recording = record_source::open(&structure, &arguments.record)?;
+    let recording = open_record(&structure, &arguments.record)?;
     let settings = Settings::load(&arguments.bus)?;
     let keys = settings.bus.keys(structure.name())?;
     let bar = progress::bar("replaying", record_source::expected_rows(&arguments.record));

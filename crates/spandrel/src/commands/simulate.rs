@@ -3,14 +3,15 @@
 use super::{counted, in_place_of, print, progress, refuse_overwriting};
 use crate::cli::SimulateArguments;
 use crate::error::AppError;
-use crate::record_source;
 use crate::role_check::{Need, Work, check};
 use crate::services::{block_on, epoch_now, interrupted};
 use crate::settings::Settings;
 use indicatif::ProgressBar;
 use spandrel_bus::{Bus, Keys, Service};
 use spandrel_record::RecordWriter;
-use spandrel_sensor::{Clocks, NodePlan, SensorError, SensorService, SensorSettings, Speed, simulated_rows};
+use spandrel_sensor::{
+    Clocks, NodePlan, SensorError, SensorService, SensorSettings, Speed, column_mapping, simulated_rows,
+};
 use spandrel_structure::Structure;
 use std::convert::Infallible;
 use std::path::Path;
@@ -131,7 +132,7 @@ pub fn readers(structure: &Structure) -> Vec<Service> {
 
 fn write_record(structure: &Structure, path: &Path, seed: u64, frames: u64) -> Result<(), AppError> {
     let replacing = in_place_of(path);
-    let mut writer = RecordWriter::create(path, &record_source::mapping(structure)?, structure.sampling_rate_hz())?;
+    let mut writer = RecordWriter::create(path, &column_mapping(structure)?, structure.sampling_rate_hz())?;
     let bar = progress::bar("simulating", Some(frames));
     for row in simulated_rows(structure, seed, 0, Some(frames)) {
         writer.write_row(row.time_ns, &row.values)?;

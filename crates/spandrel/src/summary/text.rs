@@ -31,9 +31,14 @@ impl Summary {
             writeln!(text, "  {:.0} % of the particles counted on average", 100.0 * share)?;
         }
         for (name, level) in self.parameters.iter() {
-            writeln!(text, "  {name:<24} {:.4} ± {:.4}", level.mean, level.std)?;
+            write!(text, "  {name:<24} {:.4} ± {:.4}", level.mean, level.std)?;
+            match level.for_this_structure {
+                Some(interval) => writeln!(text, ", for this structure {:.2} to {:.2}", interval.low, interval.high)?,
+                None => writeln!(text)?,
+            }
         }
         self.write_noise(text)?;
+        self.write_support(text)?;
         if let Some(classes) = &self.classes {
             write_classes(classes, text)?;
         }
@@ -53,7 +58,6 @@ impl Summary {
     }
 
     fn write_noise(&self, text: &mut String) -> fmt::Result {
-        let mut adapts = false;
         for (name, level) in self.noise.iter() {
             let NoiseLevelSummary { found_std, stated_std, ratio, unit, .. } = level;
             let unit = if *unit == "1" { String::new() } else { format!(" {unit}") };
@@ -62,18 +66,26 @@ impl Summary {
                 "  noise of {name:<15} {found_std:.3e}{unit}, {ratio:.2} times the {stated_std:.3e}{unit} of the file (standard \
                  deviations)"
             )?;
-            adapts = true;
         }
-        match (self.misfit, adapts) {
-            (None, _) => Ok(()),
-            (Some(misfit), false) => {
-                writeln!(text, "  normalised innovation squared {misfit:.2} per channel (1 when the model fits)")
+        if let Some(misfit) = self.misfit {
+            writeln!(text, "  normalised innovation squared {misfit:.2} per channel")?;
+        }
+        Ok(())
+    }
+
+    fn write_support(&self, text: &mut String) -> fmt::Result {
+        if let Some(fit) = &self.fit {
+            writeln!(text, "  fit {}", fit.words())?;
+        }
+        let mut told = self.decided.values();
+        match told.next() {
+            Some(first) if told.all(|other| other == first) => writeln!(text, "  alerts {}", first.words()),
+            _ => {
+                for (name, decided) in self.decided.iter() {
+                    writeln!(text, "  alerts of {name:<14} {}", decided.words())?;
+                }
+                Ok(())
             }
-            (Some(misfit), true) => writeln!(
-                text,
-                "  normalised innovation squared {misfit:.2} per channel (1 when the noise that was found explains the data, \
-                 also of a\n  model that does not fit: compare the noise with that of the file)"
-            ),
         }
     }
 }

@@ -3,8 +3,8 @@
 use super::natural_name::NaturalName;
 use super::trail::Trail;
 use spandrel_bus::{
-    AlertMessage, AlertState, Arrivals, Event, EventKind, MAX_CHANNELS, ModelClassDisplay, Name, NodeDisplay,
-    NoiseDisplay, Pace, ParameterDisplay, Progress, Service, Status, is_without_date, pace_told,
+    AlertMessage, AlertState, Arrivals, Event, EventKind, FitDisplay, MAX_CHANNELS, ModelClassDisplay, Name,
+    NodeDisplay, NoiseDisplay, Pace, ParameterDisplay, Progress, Service, Status, is_without_date, pace_told,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -29,6 +29,7 @@ pub enum Input {
     Noise(NoiseDisplay),
     Classes(ModelClassDisplay),
     Node(NodeDisplay),
+    Fit(FitDisplay),
     /// The alert of a parameter has changed.
     Alert(AlertMessage),
     /// An alert as it stood when somebody was asked for it.
@@ -68,6 +69,8 @@ pub struct StructureHeard {
     pub noise: BTreeMap<NaturalName, NoiseDisplay>,
     /// How the model classes stand; `None` where there is one model, or nothing was heard of them.
     pub classes: Option<ModelClassDisplay>,
+    /// The verdict on the fit; `None` before it was heard, and where nobody judges it.
+    pub fit: Option<FitDisplay>,
     /// Nodes that identify for themselves, in the eyes of their station.
     pub nodes: BTreeMap<NaturalName, NodeHeard>,
     pub alerts: BTreeMap<NaturalName, AlertMessage>,
@@ -130,6 +133,11 @@ impl Heard {
             Input::Classes(display) => {
                 if let Some(structure) = self.structure_mut(&display.structure) {
                     structure.classes = Some(display);
+                }
+            }
+            Input::Fit(display) => {
+                if let Some(structure) = self.structure_mut(&display.structure) {
+                    structure.fit = Some(display);
                 }
             }
             Input::Node(display) => self.take_node(display),
@@ -434,7 +442,12 @@ fn has_room<K: Ord, V>(map: &BTreeMap<K, V>, key: &K, most: usize) -> bool {
 /// Whether people should know of an alert in this state.
 fn is_open(state: AlertState) -> bool {
     match state {
-        AlertState::Pending | AlertState::Raised | AlertState::Acknowledged | AlertState::Cleared => true,
+        AlertState::Pending
+        | AlertState::Raised
+        | AlertState::Unconfirmed
+        | AlertState::Acknowledged
+        | AlertState::Cleared
+        | AlertState::Undecided => true,
         AlertState::Learning | AlertState::Normal => false,
     }
 }

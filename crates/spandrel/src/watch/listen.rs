@@ -4,7 +4,7 @@ use super::heard::{Input, Instance};
 use super::topics::{KeyExpressions, OnTopic, ingested, input, instance};
 use crate::error::AppError;
 use spandrel_bus::{
-    AlertMessage, Bus, BusError, Event, LiveWatch, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay,
+    AlertMessage, Bus, BusError, Event, FitDisplay, LiveWatch, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay,
     ParameterDisplay, Progress, Service, Status, Subscription,
 };
 use std::collections::BTreeSet;
@@ -30,6 +30,7 @@ pub struct Listening {
     parameters: Subscription<ParameterDisplay>,
     noise: Subscription<NoiseDisplay>,
     classes: Subscription<ModelClassDisplay>,
+    fits: Subscription<FitDisplay>,
     nodes: Subscription<NodeDisplay>,
     alerts: Subscription<AlertMessage>,
     events: Subscription<Event>,
@@ -58,6 +59,7 @@ impl Listening {
             parameters: bus.subscribe(expressions.parameters.clone(), VALUES_WAITING).await?,
             noise: bus.subscribe(expressions.noise.clone(), VALUES_WAITING).await?,
             classes: bus.subscribe(expressions.classes.clone(), STATUSES_WAITING).await?,
+            fits: bus.subscribe(expressions.fits.clone(), STATUSES_WAITING).await?,
             nodes: bus.subscribe(expressions.nodes.clone(), VALUES_WAITING).await?,
             alerts: bus.subscribe(expressions.alerts.clone(), ALERTS_WAITING).await?,
             events: bus.subscribe(expressions.events.clone(), ALERTS_WAITING).await?,
@@ -90,6 +92,7 @@ impl Listening {
         drain(&self.root, &self.parameters, &mut inputs);
         drain(&self.root, &self.noise, &mut inputs);
         drain(&self.root, &self.classes, &mut inputs);
+        drain(&self.root, &self.fits, &mut inputs);
         drain(&self.root, &self.nodes, &mut inputs);
         drain(&self.root, &self.alerts, &mut inputs);
         drain(&self.root, &self.events, &mut inputs);
@@ -127,6 +130,7 @@ impl Listening {
             self.parameters.refused(),
             self.noise.refused(),
             self.classes.refused(),
+            self.fits.refused(),
             self.nodes.refused(),
             self.alerts.refused(),
             self.events.refused(),

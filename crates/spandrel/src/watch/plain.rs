@@ -2,7 +2,7 @@
 //! and, by [`plain_line`](super::nodes::plain_line), one per node that identifies for itself.
 
 use super::heard::{Heard, Origin, StructureHeard};
-use super::structure_panel::leading_class;
+use super::structure_panel::{fit_words, leading_class};
 use super::wording::{duration, estimate, lag, nothing_measured, printable, time};
 use spandrel_bus::{AlertMessage, Load, Name, Service};
 use std::fmt::Write as _;
@@ -26,9 +26,10 @@ pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) ->
     });
     let parameters: Vec<String> = parameters.collect();
     let stale = heard.silence_of_data(structure).map(|silence| format!("stale {}: ", duration(silence)));
+    let fit = structure.fit.as_ref().map(|fit| format!("; fit {}", fit_words(fit)));
     let class = structure.classes.as_ref().map(|classes| format!("; class {}", leading_class(classes)));
     format!(
-        "{}{} {name} {}{}{}{}",
+        "{}{} {name} {}{}{}{}{}",
         time(time_ns),
         match structure.origin() {
             Origin::Measured => "",
@@ -37,6 +38,7 @@ pub fn structure_line(heard: &Heard, name: &Name, structure: &StructureHeard) ->
         },
         stale.unwrap_or_default(),
         parameters.join(", "),
+        fit.unwrap_or_default(),
         class.unwrap_or_default(),
         services(heard, structure)
     )

@@ -11,7 +11,9 @@ use super::wording::{
 use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
-use spandrel_bus::{AlertMessage, Load, ModelClassDisplay, Name, NoiseDisplay, Service, Standing};
+use spandrel_bus::{
+    AlertMessage, FitDisplay, FitVerdict, Load, ModelClassDisplay, Name, NoiseDisplay, Service, Standing,
+};
 
 /// Between columns.
 const GAP: &str = "  ";
@@ -272,6 +274,10 @@ fn footer(heard: &Heard, structure: &StructureHeard, width: usize) -> Vec<Line<'
         let levels = structure.noise.values().map(|level| Span::raw(noise_level(level)));
         lines.extend(flow("noise (std)  ", levels.collect(), width));
     }
+    if let Some(fit) = &structure.fit {
+        let style = if fit.verdict == FitVerdict::Contradicted { Style::new().fg(Color::Yellow) } else { Style::new() };
+        lines.extend(flow("fit          ", vec![Span::styled(fit_words(fit), style)], width));
+    }
     if let Some(classes) = &structure.classes {
         lines.extend(flow("model class  ", vec![Span::raw(leading_class(classes))], width));
     }
@@ -291,6 +297,11 @@ fn footer(heard: &Heard, structure: &StructureHeard, width: usize) -> Vec<Line<'
     }
     lines.extend(panel_lines(structure.nodes.values()));
     lines
+}
+
+/// The verdict on the fit: `doubtful: the innovations are correlated over time`.
+pub fn fit_words(display: &FitDisplay) -> String {
+    format!("{}: {}", display.verdict.as_str(), display.words())
 }
 
 /// The class that leads with its plausibility, and which one is believed where that is another one.

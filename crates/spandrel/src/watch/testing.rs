@@ -52,6 +52,11 @@ pub fn alert(parameter: &str, second: i64, state: AlertState) -> AlertMessage {
         reference: Some(1.0),
         reference_std: Some(0.0),
         acknowledged_by: None,
+        fit: None,
+        fit_reasons: spandrel_bus::FitReasons::default(),
+        follows_jump: false,
+        undecided_because: None,
+        revision: 0,
         why: format!(
             "{parameter} has lost 14.2 % of its stiffness (95 % interval 12.1 to 16.3 %), more than 5 % with \
              probability 0.997, since 2024-02-29 12:00:40 UTC"
@@ -103,6 +108,8 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
         pace: (service == Service::Ingest).then_some(Pace::Live),
         load: None,
         frames_behind: None,
+        fit: None,
+        undecided: BTreeMap::new(),
         state: None,
         done: 1200,
         drops: drops.iter().map(|(reason, count)| ((*reason).to_owned(), *count)).collect::<BTreeMap<_, _>>(),

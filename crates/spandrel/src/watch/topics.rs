@@ -2,7 +2,7 @@
 
 use super::heard::{Input, Instance};
 use spandrel_bus::{
-    AlertMessage, Event, Keys, Message, ModelClassDisplay, Name, NameError, NodeDisplay, NoiseDisplay,
+    AlertMessage, Event, FitDisplay, Keys, Message, ModelClassDisplay, Name, NameError, NodeDisplay, NoiseDisplay,
     ParameterDisplay, Progress, Service, Status, Topic, parse_key,
 };
 
@@ -12,6 +12,7 @@ pub struct KeyExpressions {
     pub parameters: String,
     pub noise: String,
     pub classes: String,
+    pub fits: String,
     pub nodes: String,
     pub alerts: String,
     pub events: String,
@@ -40,6 +41,7 @@ impl KeyExpressions {
             parameters: expression(keys.all_parameters()),
             noise: expression(keys.all_noise()),
             classes: expression(keys.model_class()),
+            fits: expression(keys.fit()),
             nodes: expression(keys.all_nodes()),
             alerts: expression(keys.all_alerts()),
             events: expression(keys.event()),
@@ -83,6 +85,16 @@ impl OnTopic for ModelClassDisplay {
 
     fn into_input(self) -> Input {
         Input::Classes(self)
+    }
+}
+
+impl OnTopic for FitDisplay {
+    fn topic(&self) -> Option<(&Name, Topic)> {
+        Some((&self.structure, Topic::Fit))
+    }
+
+    fn into_input(self) -> Input {
+        Input::Fit(self)
     }
 }
 

@@ -47,6 +47,7 @@ struct Sent {
     structure: Name,
     parameter: Name,
     state: AlertState,
+    is_unseen: bool,
     until: Duration,
 }
 
@@ -166,10 +167,13 @@ impl View {
             return;
         }
         match alert.state {
-            AlertState::Raised | AlertState::Cleared | AlertState::Pending => {
+            AlertState::Unconfirmed if !alert.is_unseen() => {
+                self.notify(format!("{structure}/{parameter} is acknowledged, there is nothing to acknowledge"));
+            }
+            AlertState::Raised | AlertState::Unconfirmed | AlertState::Cleared | AlertState::Pending => {
                 self.mode = Mode::Acknowledging { structure, parameter, form: Form::new(self.who.clone()) };
             }
-            AlertState::Acknowledged | AlertState::Learning | AlertState::Normal => {
+            AlertState::Acknowledged | AlertState::Learning | AlertState::Normal | AlertState::Undecided => {
                 let state = alert.state.as_str();
                 self.notify(format!("{structure}/{parameter} is {state}, there is nothing to acknowledge"));
             }
@@ -184,17 +188,18 @@ impl View {
     /// Takes that an acknowledgement was sent, and says so until it is taken.
     pub fn sent(&mut self, structure: Name, parameter: Name) {
         let alert = self.heard.structure(&structure).and_then(|heard| heard.alert(&parameter));
-        let Some(state) = alert.map(|alert| alert.state) else { return };
+        let Some((state, is_unseen)) = alert.map(|alert| (alert.state, alert.is_unseen())) else { return };
         self.notify(format!("acknowledgement of {structure}/{parameter} sent"));
-        self.sent = Some(Sent { structure, parameter, state, until: self.heard.now() + ANSWER_WITHIN });
+        self.sent = Some(Sent { structure, parameter, state, is_unseen, until: self.heard.now() + ANSWER_WITHIN });
     }
 
     /// Says whether an acknowledgement was taken, once that is known or nobody has answered for too long.
     pub fn look_for_answer(&mut self) {
-        let Some(Sent { structure, parameter, state, until }) = &self.sent else { return };
+        let Some(Sent { structure, parameter, state, is_unseen, until }) = &self.sent else { return };
         let alert = self.heard.structure(structure).and_then(|heard| heard.alert(parameter));
-        let told = match alert.map(|alert| alert.state) {
-            Some(now) if now != *state => format!("{structure}/{parameter} is {}", now.as_str()),
+        let told = match alert {
+            Some(now) if now.state != *state => format!("{structure}/{parameter} is {}", now.state.as_str()),
+            Some(now) if now.is_unseen() != *is_unseen => format!("{structure}/{parameter} is acknowledged"),
             Some(_) | None if self.heard.now() < *until => return,
             Some(_) | None => {
                 format!("nobody took the acknowledgement of {structure}/{parameter}; is the alert service there?")

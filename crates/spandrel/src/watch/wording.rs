@@ -13,7 +13,8 @@ pub fn state_style(state: AlertState) -> Style {
         AlertState::Learning => Style::new().fg(Color::Cyan),
         AlertState::Normal => Style::new().fg(Color::Green),
         AlertState::Pending => Style::new().fg(Color::Yellow),
-        AlertState::Raised => Style::new().fg(Color::Red).add_modifier(Modifier::BOLD),
+        AlertState::Raised | AlertState::Unconfirmed => Style::new().fg(Color::Red).add_modifier(Modifier::BOLD),
+        AlertState::Undecided => Style::new().fg(Color::Cyan),
         AlertState::Acknowledged => Style::new().fg(Color::Magenta),
         AlertState::Cleared => Style::new().fg(Color::Blue),
     }
@@ -21,7 +22,14 @@ pub fn state_style(state: AlertState) -> Style {
 
 /// How many alerts are in which state, as parts of a title; normal ones are not worth a word.
 pub fn state_counts<'a>(alerts: impl Iterator<Item = &'a AlertMessage> + Clone) -> Vec<Span<'static>> {
-    let told = [AlertState::Raised, AlertState::Pending, AlertState::Acknowledged, AlertState::Cleared];
+    let told = [
+        AlertState::Raised,
+        AlertState::Unconfirmed,
+        AlertState::Pending,
+        AlertState::Acknowledged,
+        AlertState::Cleared,
+        AlertState::Undecided,
+    ];
     let mut spans = Vec::new();
     for state in told {
         let count = alerts.clone().filter(|alert| alert.state == state).count();

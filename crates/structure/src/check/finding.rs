@@ -1,6 +1,7 @@
 //! What a check has to say, as data and as sentences.
 
 use super::{IdentificationReport, ModeReport, TimeStepReport};
+use crate::structure::Structure;
 use serde::Serialize;
 use spandrel_filter::fusion::compression::MISSED_MASS;
 use std::fmt;
@@ -24,6 +25,17 @@ pub enum Severity {
     Warning,
     /// The file can be used; this is what its results rest on.
     Note,
+}
+
+/// How far one parameter is off (ratio to nominal) where something else is not what the file says.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Shift {
+    /// The parameter.
+    pub parameter: String,
+    /// If the truth is the stated value over the factor.
+    pub if_less: f64,
+    /// If the truth is the stated value times the factor.
+    pub if_more: f64,
 }
 
 /// One finding of a check.
@@ -98,6 +110,106 @@ pub enum Finding {
         /// Highest natural frequency of the model (Hz).
         highest_frequency_hz: f64,
     },
+    /// A parameter cannot be told from the level and the colour of what nobody measures.
+    RestsOnExcitation {
+        /// The parameter.
+        parameter: String,
+        /// The unmeasured excitations.
+        excitations: String,
+        /// Standard deviation of its error (ratio to nominal).
+        error: f64,
+    },
+    /// The level of an unmeasured excitation is stated and not identified.
+    LevelAssumed {
+        /// The level.
+        level: String,
+        /// By which factor it may be wrong.
+        factor: f64,
+        /// What that does to each parameter.
+        shifts: Vec<Shift>,
+    },
+    /// Damping is neither identified nor stated to be known.
+    DampingAssumed {
+        /// By which factor it may be wrong.
+        factor: f64,
+        /// What that does to each parameter.
+        shifts: Vec<Shift>,
+    },
+    /// The way in which a measured excitation runs between frames changes what reaches the model.
+    HoldMatters {
+        /// Upper end of the recorded band (Hz).
+        frequency_hz: f64,
+        /// Share of the excitation that is lost there.
+        loss: f64,
+        /// By how much it is late (s).
+        delay_s: f64,
+        /// Both together, a share of the excitation.
+        error: f64,
+    },
+    /// No building of so many storeys has such a period.
+    ImplausiblePeriod {
+        /// Storeys.
+        storeys: usize,
+        /// Fundamental period as designed (s).
+        period_s: f64,
+        /// From where to where it would be plausible (s).
+        expected_s: (f64, f64),
+        /// A wrong unit that explains it.
+        cause: Option<String>,
+    },
+    /// Two neighbouring storeys differ as if one were in another unit.
+    UnequalStoreys {
+        /// `mass` or `stiffness`.
+        what: String,
+        /// The lower storey (from 1).
+        lower: usize,
+        /// How many times as large the larger one is.
+        ratio: f64,
+    },
+    /// The floors are too light for a building.
+    LightFloors {
+        /// The heaviest (kg).
+        heaviest_kg: f64,
+    },
+    /// No ground moves so little or so much.
+    ImplausibleLevel {
+        /// The excitation.
+        excitation: String,
+        /// Its stated standard deviation (m/s²).
+        std: f64,
+    },
+    /// A sensor shows more noise than motion.
+    NoiseAboveSignal {
+        /// The channel.
+        channel: String,
+        /// Standard deviation of its noise.
+        noise: f64,
+        /// Standard deviation of the motion that it is to show.
+        signal: f64,
+        /// Unit of both.
+        unit: String,
+    },
+    /// Particles are fast enough for the sampling rate.
+    ParticlesInTime {
+        /// Estimated time of a step (s) on one core.
+        needed_s: f64,
+        /// Time between two frames (s).
+        step_s: f64,
+    },
+    /// Particles are too slow for the sampling rate.
+    ParticlesTooSlow {
+        /// Estimated time of a step (s) on one core.
+        needed_s: f64,
+        /// Time between two frames (s).
+        step_s: f64,
+    },
+    /// The state is too large for the number of particles.
+    ParticlesTooFew {
+        /// States and parameters.
+        states: usize,
+        /// Number of particles.
+        particles: usize,
+    },
     /// The modes that nodes send of the motion leave out too much of it.
     ModesMissMass {
         /// Modes that are sent.
@@ -118,10 +230,22 @@ impl Finding {
             | Self::LevelConfounded { adapted: true, .. }
             | Self::SlowToSettle { .. }
             | Self::ModesMissMass { .. }
+            | Self::RestsOnExcitation { .. }
+            | Self::LevelAssumed { .. }
+            | Self::DampingAssumed { .. }
+            | Self::HoldMatters { .. }
+            | Self::ImplausiblePeriod { .. }
+            | Self::UnequalStoreys { .. }
+            | Self::ImplausibleLevel { .. }
+            | Self::NoiseAboveSignal { .. }
+            | Self::ParticlesTooSlow { .. }
+            | Self::ParticlesTooFew { .. }
             | Self::HastyLevel { .. } => Severity::Warning,
             Self::LevelConfounded { adapted: false, .. }
+            | Self::LightFloors { .. }
             | Self::BandLimited { .. }
             | Self::AliasedModes { .. }
+            | Self::ParticlesInTime { .. }
             | Self::SubstepsNeeded { .. } => Severity::Note,
         }
     }
@@ -184,6 +308,80 @@ impl fmt::Display for Finding {
                 "each time step is cut into {substeps} substeps, because the model reaches {highest_frequency_hz:.1} Hz: \
                  a higher sampling rate or a coarser model would be cheaper"
             ),
+            Self::RestsOnExcitation { parameter, excitations, error } => write!(
+                f,
+                "{parameter} rests on the level and the colour of {excitations}, which nobody measures: they leave it uncertain by \
+                 {:.1} %, however long the record",
+                100.0 * error
+            ),
+            Self::LevelAssumed { level, factor, shifts } => {
+                write!(
+                    f,
+                    "the level of {level} is stated and not identified; if it is {factor} times as large, or as small: "
+                )?;
+                write_shifts(f, shifts)
+            }
+            Self::DampingAssumed { factor, shifts } => {
+                write!(f, "damping is fixed; if it is {factor} times as large, or as small: ")?;
+                write_shifts(f, shifts)
+            }
+            Self::HoldMatters { frequency_hz, loss, delay_s, error } => {
+                write!(f, "between frames the measured excitation ")?;
+                match *delay_s > 0.0 {
+                    true => write!(f, "is held, and late by {:.1} ms: ", 1e3 * delay_s)?,
+                    false => write!(f, "runs straight: ")?,
+                }
+                write!(
+                    f,
+                    "at {frequency_hz:.1} Hz, where the recorded band ends, {:.1} % of it is lost and its error is {:.0} %",
+                    100.0 * loss,
+                    100.0 * error
+                )
+            }
+            Self::ImplausiblePeriod { storeys, period_s, expected_s: (low, high), cause } => {
+                write!(
+                    f,
+                    "a building of {storeys} storeys with a period of {period_s:.3} s is implausible, such buildings have \
+                     {low:.2} to {high:.1} s"
+                )?;
+                cause.as_ref().map_or(Ok(()), |cause| write!(f, "; {cause}"))
+            }
+            Self::UnequalStoreys { what, lower, ratio } => write!(
+                f,
+                "the {what} of storeys {lower} and {} differs by a factor of {ratio:.0}: is one of them in another unit?",
+                lower + 1
+            ),
+            Self::LightFloors { heaviest_kg } => write!(
+                f,
+                "no floor weighs more than {heaviest_kg} kg: right for a bench model; if it is a building, masses are in kg here"
+            ),
+            Self::ImplausibleLevel { excitation, std } => write!(
+                f,
+                "{excitation} moves by {std:e} m/s2, which no ground does: its unit is m/s2, not g, cm/s2 or mm/s2"
+            ),
+            Self::NoiseAboveSignal { channel, noise, signal, unit } => write!(
+                f,
+                "{channel} has a noise of {noise:.2e} {unit}, and {signal:.2e} {unit} of motion to show: a better sensor, a stronger \
+                 excitation, or is one of the two in another unit (g for m/s2)?"
+            ),
+            Self::ParticlesInTime { needed_s, step_s } => write!(
+                f,
+                "a step of the particles takes about {:.1} ms on one core, and frames come every {:.1} ms: fast enough",
+                1e3 * needed_s,
+                1e3 * step_s
+            ),
+            Self::ParticlesTooSlow { needed_s, step_s } => write!(
+                f,
+                "a step of the particles takes about {:.1} ms on one core, and frames come every {:.1} ms: the service falls \
+                 behind; give fewer particles, density = \"prior\", or a lower sampling rate",
+                1e3 * needed_s,
+                1e3 * step_s
+            ),
+            Self::ParticlesTooFew { states, particles } => write!(
+                f,
+                "{particles} particles for {states} states and parameters: the particles needed grow exponentially with them, and \
+                 with too few the intervals are much too narrow"
+            ),
             Self::ModesMissMass { modes, missed } => write!(
                 f,
                 "the {modes} modes that nodes send miss {:.0} % of the mass that the excitation sets going: give more modes, or none, \
@@ -194,23 +392,40 @@ impl fmt::Display for Finding {
     }
 }
 
+/// Shifts that a sentence names.
+const NAMED_SHIFTS: usize = 5;
+
+/// Names the parameters that move most, in their order.
+fn write_shifts(f: &mut fmt::Formatter<'_>, shifts: &[Shift]) -> fmt::Result {
+    let largest = |shift: &Shift| shift.if_less.abs().max(shift.if_more.abs());
+    let mut sizes: Vec<f64> = shifts.iter().map(largest).collect();
+    sizes.sort_by(|a, b| b.total_cmp(a));
+    let least = sizes.get(NAMED_SHIFTS - 1).copied().unwrap_or(0.0);
+    let named = shifts.iter().filter(|shift| largest(shift) >= least).take(NAMED_SHIFTS);
+    for (number, Shift { parameter, if_less, if_more }) in named.enumerate() {
+        let separator = if number == 0 { "" } else { ", " };
+        write!(f, "{separator}{parameter} {:+.1} or {:+.1} %", 100.0 * if_more, 100.0 * if_less)?;
+    }
+    if shifts.len() > NAMED_SHIFTS { f.write_str(", the others less") } else { Ok(()) }
+}
+
 /// Collects the findings, warnings first.
 pub(super) fn find(
+    structure: &Structure,
     identification: Option<&IdentificationReport>,
     time_step: &TimeStepReport,
     modes: &[ModeReport],
-    sampling_rate_hz: f64,
-    band_limit_hz: Option<f64>,
-    sent_modes: Option<(usize, f64)>,
 ) -> Vec<Finding> {
     let mut findings = match identification {
         None => vec![Finding::NotObservable],
-        Some(identification) => of_identification(identification),
+        Some(identification) => of_identification(structure, identification),
     };
-    if let Some(frequency_hz) = band_limit_hz {
-        findings.push(Finding::BandLimited { frequency_hz });
+    findings.extend(structure.design_findings());
+    findings.extend(structure.assumption_findings());
+    if let Some(limit) = structure.band_limit() {
+        findings.push(Finding::BandLimited { frequency_hz: limit.frequency_hz });
     }
-    let nyquist_hz = sampling_rate_hz / 2.0;
+    let nyquist_hz = structure.sampling_rate_hz() / 2.0;
     let above = modes.iter().filter(|mode| mode.frequency_hz > nyquist_hz).count();
     if above > 0 {
         findings.push(Finding::AliasedModes { modes: above, of: modes.len(), nyquist_hz });
@@ -219,14 +434,14 @@ pub(super) fn find(
         let TimeStepReport { substeps, highest_frequency_hz, .. } = *time_step;
         findings.push(Finding::SubstepsNeeded { substeps, highest_frequency_hz });
     }
-    if let Some((modes, missed)) = sent_modes.filter(|(_, missed)| *missed > MISSED_MASS) {
+    if let Some((modes, missed)) = structure.sent_modes().filter(|(_, missed)| *missed > MISSED_MASS) {
         findings.push(Finding::ModesMissMass { modes, missed });
     }
     findings.sort_by_key(Finding::severity);
     findings
 }
 
-fn of_identification(report: &IdentificationReport) -> Vec<Finding> {
+fn of_identification(structure: &Structure, report: &IdentificationReport) -> Vec<Finding> {
     let mut findings = Vec::new();
     let parameters = &report.parameters;
     for (index, parameter) in parameters.iter().enumerate() {
@@ -244,7 +459,9 @@ fn of_identification(report: &IdentificationReport) -> Vec<Finding> {
         for (level_index, level) in report.noise_levels.iter().enumerate() {
             let (correlation, shift) =
                 (report.correlations[index][parameters.len() + level_index], parameter.shifts[level_index]);
-            if correlation.abs() > CONFOUNDED || shift.abs() > NOTABLE_SHIFT {
+            // what an unmeasured excitation spoils is told with its colour
+            let told = structure.is_unknown(level_index);
+            if !told && (correlation.abs() > CONFOUNDED || shift.abs() > NOTABLE_SHIFT) {
                 findings.push(Finding::LevelConfounded {
                     parameter: parameter.name.clone(),
                     level: level.name.clone(),

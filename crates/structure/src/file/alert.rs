@@ -2,7 +2,10 @@
 
 use super::find_name;
 use crate::alert_rule::{AlertRule, Reference};
+use crate::linear_system::LinearSystem;
+use crate::modes::Modes;
 use crate::section::{Allowed, Section};
+use std::f64::consts::PI;
 use toml::Spanned;
 
 const CREDIBILITY: f64 = 0.99;
@@ -10,21 +13,42 @@ const SUSTAIN_S: f64 = 5.0;
 /// An alert ends when the loss is as likely as not: well below the credibility that raised it, so that it does not flap.
 const CLEAR_CREDIBILITY: f64 = 0.5;
 
-/// Reads every `[[alert]]`; `parameters` are the names in state order, `None` if some could not be read.
-pub(super) fn read_alerts(file: &mut Section<'_>, parameters: Option<&[&str]>) -> Vec<AlertRule> {
+/// A reference is learnt for so many half-lives of the filter: what it started from counts for an eighth then.
+const LEARN_HALF_LIVES: f64 = 3.0;
+/// And for so many fundamental periods: a motion of the first mode has some ten independent amplitudes in them.
+const LEARN_PERIODS: f64 = 30.0;
+
+/// What the rules refer to.
+pub(super) struct Context<'c> {
+    /// Names in state order, and whether each scales a stiffness; `None` if some could not be read.
+    pub(super) parameters: Option<&'c [(&'c str, bool)]>,
+    /// How long (s) a reference is learnt where the file does not say so.
+    pub(super) learn_s: f64,
+}
+
+/// Returns how long (s) a reference is learnt where the file does not say so.
+pub(super) fn learning_s(half_life_s: f64, system: &LinearSystem) -> f64 {
+    let modes = Modes::of(system, &vec![1.0; system.substructures.len()]);
+    let first = modes.and_then(|modes| modes.angular_frequencies.first().copied()).filter(|omega| *omega > 0.0);
+    let periods_s = first.map_or(0.0, |omega| LEARN_PERIODS * 2.0 * PI / omega);
+    periods_s.max(LEARN_HALF_LIVES * half_life_s)
+}
+
+/// Reads every `[[alert]]`.
+pub(super) fn read_alerts(file: &mut Section<'_>, context: &Context<'_>) -> Vec<AlertRule> {
     let sections = file.tables("alert");
-    if parameters.is_some_and(<[&str]>::is_empty) {
+    if context.parameters.is_some_and(<[_]>::is_empty) {
         for section in sections {
             let allowed = "must not be given without a [[parameter]]: an alert watches parameters";
             section.diagnostics().report(section.span(), "alert", "is given", allowed);
         }
         return Vec::new();
     }
-    sections.into_iter().filter_map(|section| read_alert(section, parameters)).collect()
+    sections.into_iter().filter_map(|section| read_alert(section, context)).collect()
 }
 
-fn read_alert(mut section: Section<'_>, parameters: Option<&[&str]>) -> Option<AlertRule> {
-    let watched = read_watched(&mut section, parameters);
+fn read_alert(mut section: Section<'_>, context: &Context<'_>) -> Option<AlertRule> {
+    let watched = read_watched(&mut section, context.parameters);
     let loss = section.required_number("loss", Allowed::INSIDE_UNIT);
     let credibility = section.number_or("credibility", Allowed::INSIDE_UNIT, CREDIBILITY);
     let sustain_s = section.number_or("sustain-s", Allowed::NOT_NEGATIVE, SUSTAIN_S);
@@ -37,7 +61,7 @@ fn read_alert(mut section: Section<'_>, parameters: Option<&[&str]>) -> Option<A
         section.diagnostics().report(clear.span(), section.key("clear-credibility"), found, allowed);
     }
     let clear_credibility = clear.map_or(CLEAR_CREDIBILITY.min(credibility), Spanned::into_inner);
-    let reference = read_reference(&mut section, watched.as_ref().map(Vec::len));
+    let reference = read_reference(&mut section, watched.as_ref().map(Vec::len), context.learn_s);
     section.finish();
     Some(AlertRule {
         parameters: watched?,
@@ -49,39 +73,62 @@ fn read_alert(mut section: Section<'_>, parameters: Option<&[&str]>) -> Option<A
     })
 }
 
-fn read_watched(section: &mut Section<'_>, parameters: Option<&[&str]>) -> Option<Vec<usize>> {
-    let rule = "must be \"all\" or a list of parameters";
-    let watched = if section.is_text("parameters") {
+/// Reads which parameters are watched: a list, all, or those that scale a stiffness.
+fn read_watched(section: &mut Section<'_>, parameters: Option<&[(&str, bool)]>) -> Option<Vec<usize>> {
+    let rule = "must be \"stiffness\", \"all\" or a list of parameters";
+    if section.is_text("parameters") {
         let word = section.text("parameters")?;
-        if word.get_ref() != "all" {
+        let chosen: Option<Vec<usize>> = match word.get_ref().as_str() {
+            "all" => Some((0..parameters?.len()).collect()),
+            "stiffness" => {
+                Some((0..parameters?.len()).filter(|index| parameters.is_some_and(|p| p[*index].1)).collect())
+            }
+            _ => None,
+        };
+        if chosen.as_ref().is_none_or(Vec::is_empty) {
             let found = format!("is \"{}\"", word.get_ref());
+            let found = if chosen.is_some() { format!("{found}, and no parameter scales one") } else { found };
             section.diagnostics().report(word.span(), section.key("parameters"), found, rule);
             return None;
         }
-        return parameters.map(|parameters| (0..parameters.len()).collect());
-    } else {
-        section.names("parameters")
-    };
+        return chosen;
+    }
+    let watched = section.names("parameters");
     let watched = section.require("parameters", rule, watched)?;
     if watched.get_ref().is_empty() {
         section.diagnostics().report(watched.span(), section.key("parameters"), "watches nothing", rule);
         return None;
     }
     let parameters = parameters?;
-    let find = |name| find_name(section, "parameters", name, parameters.iter().copied());
+    let find = |name| find_name(section, "parameters", name, parameters.iter().map(|(name, _)| *name));
     let found: Vec<_> = watched.get_ref().iter().map(find).collect();
     found.into_iter().collect()
 }
 
-/// Reads `reference`: the word `design`, or a table that says how it is learnt or what it is.
-fn read_reference(section: &mut Section<'_>, watched: Option<usize>) -> Option<Reference> {
+/// What a reference may say.
+const REFERENCE_RULE: &str = "must be { learn-s = … }, { design-std = … } or { mean = …, std = … }";
+
+/// Reads `reference`: a table that says how it is learnt or what it is.
+fn read_reference(section: &mut Section<'_>, watched: Option<usize>, learn_s: f64) -> Option<Reference> {
     if !section.contains("reference") {
-        return Some(Reference::Design);
+        return Some(Reference::Baseline { learn_s });
     }
     if section.is_text("reference") {
-        return section.choice("reference", &[("design", ())]).map(|_| Reference::Design);
+        let word = section.text("reference")?;
+        let design = word.get_ref() == "design";
+        let allowed = if design {
+            "must state how far the design may be off: { design-std = 0.05 }, or { learn-s = … } to learn the reference"
+        } else {
+            REFERENCE_RULE
+        };
+        let found = format!("is \"{}\"", word.get_ref());
+        section.diagnostics().report(word.span(), section.key("reference"), found, allowed);
+        return None;
     }
     let mut table = section.table("reference")?;
+    if table.contains("design-std") {
+        return read_design(table, watched.unwrap_or(1));
+    }
     let learn_s = table.number("learn-s", Allowed::POSITIVE);
     let mean = table.number_for_each("mean", Allowed::POSITIVE, watched.unwrap_or(1));
     let std = table.number_for_each("std", Allowed::NOT_NEGATIVE, watched.unwrap_or(1));
@@ -92,10 +139,29 @@ fn read_reference(section: &mut Section<'_>, watched: Option<usize>) -> Option<R
         }
         learn_s.map(|learn_s| Reference::Baseline { learn_s: learn_s.into_inner() })
     } else {
-        let mean = table.require("mean", "must be given (or learn-s)", mean);
+        let mean = table.require("mean", "must be given (or learn-s, or design-std)", mean);
         let std = table.require("std", "must be given beside mean", std);
         mean.zip(std).map(|(mean, std)| Reference::Given { mean, std })
     };
     table.finish();
     reference
+}
+
+/// Reads a reference that is the design: 1, to within a stated deviation.
+fn read_design(mut table: Section<'_>, watched: usize) -> Option<Reference> {
+    let std = table.number_for_each("design-std", Allowed::RATIO_DEVIATION, watched);
+    for other in ["learn-s", "mean", "std"] {
+        if table.contains(other) {
+            let allowed = "must stand alone: the mean is that of the design, 1";
+            table.diagnostics().report(
+                table.span(),
+                table.key("design-std"),
+                format!("is given beside {other}"),
+                allowed,
+            );
+        }
+    }
+    table.leave_unread(&["learn-s", "mean", "std"]);
+    table.finish();
+    std.map(|std| Reference::Given { mean: vec![1.0; std.len()], std })
 }

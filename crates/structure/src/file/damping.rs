@@ -19,16 +19,23 @@ enum DampingKind {
 const DAMPING_KINDS: [(&str, DampingKind); 3] =
     [("rayleigh", DampingKind::Rayleigh), ("dashpots", DampingKind::Dashpots), ("matrix", DampingKind::Matrix)];
 
+/// The damping, and whether the file says that it is known.
+pub(super) struct DampingRead {
+    pub(super) damping: Damping,
+    pub(super) is_known: bool,
+}
+
 /// Reads `[damping]`; a ratio is turned into `α` and `β` with the modes of `system` as designed.
-pub(super) fn read_damping(mut section: Section<'_>, system: Option<&LinearSystem>) -> Option<Damping> {
+pub(super) fn read_damping(mut section: Section<'_>, system: Option<&LinearSystem>) -> Option<DampingRead> {
     let kind = section.required_choice("kind", &DAMPING_KINDS)?;
+    let is_known = section.flag_or("known", false);
     let damping = match kind.into_inner() {
         DampingKind::Rayleigh => read_rayleigh(&mut section, system),
         DampingKind::Dashpots => read_dashpots(&mut section, system),
         DampingKind::Matrix => read_damping_matrix(&mut section, system),
     };
     section.finish();
-    damping
+    Some(DampingRead { damping: damping?, is_known })
 }
 
 fn read_rayleigh(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Damping> {

@@ -55,13 +55,13 @@ pub(super) fn read_excitations(file: &mut Section<'_>, context: &Context<'_>) ->
 fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<ExcitationRead> {
     let name = section.required_name("name");
     let kind = section.required_choice("kind", &KINDS).map(Spanned::into_inner);
-    let adapts = section.flag_or("adapt", false);
+    let level = read_level(&mut section);
     if kind == Some(Kind::ForceField) {
-        let level = section.number_or("level", Allowed::DEVIATION, 1.0);
+        let std = section.number_or("level", Allowed::DEVIATION, 1.0);
         let field = read_force_field(&mut section, context.system);
         section.finish();
         let (name, action) = (name?, Action::ForceField(field?));
-        let excitation = Excitation { name: name.get_ref().clone(), action, std: level, measured: None, adapts };
+        let excitation = level.of(name.get_ref(), action, std, None);
         return Some(ExcitationRead { excitation, name });
     }
     let std = read_std(&mut section, context.rate_hz);
@@ -81,10 +81,39 @@ fn read_excitation(mut section: Section<'_>, context: &Context<'_>) -> Option<Ex
         }
     };
     let measured = measured_on.and_then(|channel| read_measured(&section, kind, &channel, context.channels?));
+    if section.contains("measured-on") && level.factor.is_some() {
+        let allowed = "must not stand beside measured-on: what the level of a measured excitation is, its channel says";
+        section.diagnostics().report(section.span(), section.key("level-factor"), "is given", allowed);
+    }
     section.finish();
     let name = name?;
-    let excitation = Excitation { name: name.get_ref().clone(), action: action?, std: std?, measured, adapts };
+    let excitation = level.of(name.get_ref(), action?, std?, measured);
     Some(ExcitationRead { excitation, name })
+}
+
+/// What is known of a level.
+#[derive(Clone, Copy)]
+struct Level {
+    adapt: Option<bool>,
+    factor: Option<f64>,
+}
+
+impl Level {
+    /// Makes an excitation; its level is adapted if nobody measures it, unless the file says otherwise.
+    fn of(self, name: &str, action: Action, std: f64, measured: Option<Measured>) -> Excitation {
+        let adapts = self.adapt.unwrap_or(measured.is_none() && self.factor != Some(1.0));
+        Excitation { name: name.to_owned(), action, std, measured, adapts, level_factor: self.factor }
+    }
+}
+
+fn read_level(section: &mut Section<'_>) -> Level {
+    let adapt = section.flag("adapt");
+    let factor = section.number("level-factor", Allowed::FACTOR).map(Spanned::into_inner);
+    if adapt == Some(true) && factor == Some(1.0) {
+        let allowed = "must be above 1 beside adapt = true: a level that is known needs no adaptation";
+        section.diagnostics().report(section.span(), section.key("level-factor"), "is 1", allowed);
+    }
+    Level { adapt, factor }
 }
 
 /// Reads the level of one sample, given as such or as the intensity `S₀` of a white process: `σ² = 2π S₀ / Δt`.

@@ -2,8 +2,8 @@
 
 use crate::filter_plan::{Annealing, FilterPlan};
 use crate::section::{Allowed, Section};
-use crate::settings::{BandLimit, IngestSettings};
-use spandrel_filter::{InputHold, NoiseRule};
+use crate::settings::{BandLimit, IngestSettings, ParticleKeys};
+use spandrel_filter::{ImportanceDensity, InputHold, NoiseRule};
 
 const NOISE_RULES: [(&str, NoiseRule); 4] = [
     ("fisher", NoiseRule::Fisher),
@@ -13,6 +13,24 @@ const NOISE_RULES: [(&str, NoiseRule); 4] = [
 ];
 
 const INPUT_HOLDS: [(&str, InputHold); 2] = [("zero-order", InputHold::Zero), ("first-order", InputHold::First)];
+
+/// What identifies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Kalman,
+    Particle,
+}
+
+const KINDS: [(&str, Kind); 2] = [("kalman", Kind::Kalman), ("particle", Kind::Particle)];
+
+const DENSITIES: [(&str, ImportanceDensity); 2] =
+    [("optimal", ImportanceDensity::Optimal), ("prior", ImportanceDensity::Prior)];
+
+/// Keys of `[filter]` that are of use with particles only.
+const OF_PARTICLES: [&str; 4] = ["particles", "density", "drift", "warm-up-s"];
+
+/// More particles than this do not fit into memory.
+const MOST_PARTICLES: usize = 10_000_000;
 
 /// A shorter half-life forgets everything before it could tell anything.
 const LEAST_HALF_LIFE_STEPS: f64 = 10.0;
@@ -26,9 +44,25 @@ pub(super) enum Follows {
     MotionAlone,
 }
 
+/// Whether a channel measures an excitation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Measures {
+    /// Yes: a record of it runs from sample to sample.
+    Excitation,
+    /// No: what is not measured is white noise, and held.
+    ResponsesAlone,
+}
+
 /// Reads `[filter]`; a missing table is one without keys. `rate_hz` is the structure's.
-pub(super) fn read_filter(section: Option<Section<'_>>, rate_hz: Option<f64>, follows: Follows) -> FilterPlan {
+pub(super) fn read_filter(
+    section: Option<Section<'_>>,
+    rate_hz: Option<f64>,
+    (follows, measures): (Follows, Measures),
+) -> FilterPlan {
     let mut plan = FilterPlan::default();
+    if measures == Measures::ResponsesAlone {
+        plan.input_hold = InputHold::Zero;
+    }
     if follows == Follows::MotionAlone {
         plan.annealing.amount = 0.0; // a linear filter cannot lock in
     }
@@ -51,8 +85,51 @@ pub(super) fn read_filter(section: Option<Section<'_>>, rate_hz: Option<f64>, fo
     }
     plan.displacement_std_m = section.number_or("displacement-std-m", Allowed::POSITIVE, plan.displacement_std_m);
     plan.velocity_std_m_per_s = section.number_or("velocity-std-m-per-s", Allowed::POSITIVE, plan.velocity_std_m_per_s);
+    plan.particles = read_particles(&mut section);
     section.finish();
     plan
+}
+
+/// Reads the keys of particles; `None` for the Kalman filter.
+fn read_particles(section: &mut Section<'_>) -> Option<ParticleKeys> {
+    let kind = section.choice("kind", &KINDS).map_or(Kind::Kalman, toml::Spanned::into_inner);
+    if kind == Kind::Kalman {
+        for key in OF_PARTICLES.into_iter().filter(|key| section.contains(key)) {
+            let allowed = "must not be there without kind = \"particle\"";
+            section.diagnostics().report(section.span_of(key), section.key(key), "is of no use", allowed);
+        }
+        section.leave_unread(&OF_PARTICLES);
+        return None;
+    }
+    let mut keys = ParticleKeys::default();
+    if let Some(particles) = section.whole("particles", 2, MOST_PARTICLES) {
+        keys.particles = particles.into_inner();
+    }
+    if let Some(density) = section.choice("density", &DENSITIES) {
+        keys.density = density.into_inner();
+    }
+    keys.drift_per_root_s = section.number_or("drift", Allowed::NOT_NEGATIVE, keys.drift_per_root_s);
+    keys.warm_up_s = section.number_or("warm-up-s", Allowed::NOT_NEGATIVE, keys.warm_up_s);
+    Some(keys)
+}
+
+/// Reports what particles cannot do: they take every sample and all parameters, in one filter.
+pub(super) fn check_particles(file: &Section<'_>, plan: &FilterPlan, distributed: Option<&toml::Spanned<bool>>) {
+    if plan.particles.is_none() {
+        return;
+    }
+    for (table, why) in [
+        ("outliers", "must not be there with filter.kind = \"particle\": particles take every sample"),
+        ("classes", "must not be there with filter.kind = \"particle\": particles take all parameters singly"),
+    ] {
+        if file.contains(table) {
+            file.diagnostics().report(file.span_of(table), table, "is there", why);
+        }
+    }
+    if let Some(distributed) = distributed.filter(|is| *is.get_ref()) {
+        let allowed = "must not be distributed with filter.kind = \"particle\": nodes exchange Gaussian densities";
+        file.diagnostics().report(distributed.span(), "structure.identification", "is \"distributed\"", allowed);
+    }
 }
 
 /// Reads a half-life (s) of at least some time steps.

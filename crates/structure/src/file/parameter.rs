@@ -151,7 +151,18 @@ fn read_mass(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option
     Some(Scales::Mass(found.into_iter().collect::<Option<_>>()?))
 }
 
+/// Reads which dashpots are scaled, or the word `all`.
 fn read_damping_of(section: &mut Section<'_>, damping: Option<&Damping>) -> Option<Scales> {
+    if section.is_text("of") {
+        let word = section.text("of")?;
+        if word.get_ref() != "all" {
+            let found = format!("is \"{}\"", word.get_ref());
+            let allowed = "must be \"all\", or a list of the storeys whose dashpots are scaled";
+            section.diagnostics().report(word.span(), section.key("of"), found, allowed);
+            return None;
+        }
+        return read_all_damping(section, damping?);
+    }
     let of = read_of(section, "must list the storeys whose dashpots are scaled")?;
     let Damping::Dashpots(parts) = damping? else {
         let allowed = "must not be scaled storey by storey unless damping.kind is \"dashpots\"";
@@ -161,6 +172,25 @@ fn read_damping_of(section: &mut Section<'_>, damping: Option<&Damping>) -> Opti
     let find = |name| find_name(section, "of", name, parts.iter().map(|part| part.name.as_str()));
     let found: Vec<_> = of.get_ref().iter().map(find).collect();
     Some(Scales::Dashpots(found.into_iter().collect::<Option<_>>()?))
+}
+
+/// Takes all damping that there is.
+fn read_all_damping(section: &Section<'_>, damping: &Damping) -> Option<Scales> {
+    match damping {
+        Damping::Rayleigh { alpha_per_s, beta_s } if *alpha_per_s == 0.0 && *beta_s == 0.0 => {
+            let allowed = "must scale damping that is not zero";
+            section.diagnostics().report(
+                section.span(),
+                section.key("scales"),
+                "has no effect: there is none",
+                allowed,
+            );
+            None
+        }
+        Damping::Rayleigh { .. } => Some(Scales::Damping),
+        Damping::Dashpots(parts) => Some(Scales::Dashpots((0..parts.len()).collect())),
+        Damping::Matrix(_) => Some(Scales::Dashpots(vec![0])),
+    }
 }
 
 fn read_constant(section: &Section<'_>, constant: Constant, system: Option<&LinearSystem>) -> Option<Scales> {
@@ -203,11 +233,16 @@ fn check_scaled_once(section: &Section<'_>, scales: &Scales, system: Option<&Lin
             }
             (Scales::Dashpots(a), Scales::Dashpots(b)) => {
                 let shared = a.iter().find(|index| b.contains(index));
-                shared.and_then(|index| Some(format!("the dashpot of {}", system?.storeys.get(*index)?.name)))
+                let name = |index: &usize| system.and_then(|system| system.storeys.get(*index));
+                shared.map(|index| {
+                    name(index).map_or("the damping".to_owned(), |storey| format!("the dashpot of {}", storey.name))
+                })
             }
             (Scales::Hysteresis(a), Scales::Hysteresis(b)) if a == b => Some("the same constant".to_owned()),
-            (Scales::DampingAlpha, Scales::DampingAlpha) => Some("alpha".to_owned()),
-            (Scales::DampingBeta, Scales::DampingBeta) => Some("beta".to_owned()),
+            (Scales::Damping | Scales::DampingAlpha, Scales::Damping | Scales::DampingAlpha) => {
+                Some("alpha".to_owned())
+            }
+            (Scales::Damping | Scales::DampingBeta, Scales::Damping | Scales::DampingBeta) => Some("beta".to_owned()),
             _ => None,
         };
         if let Some(shared) = shared {

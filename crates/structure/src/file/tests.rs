@@ -54,6 +54,10 @@ fn every_example_is_read() {
         "fifty-storeys-wind",
         "sixty-storeys",
         "corrupted-oscillator",
+        "hysteretic-particles",
+        "slow-oscillator",
+        "five-mass-chain",
+        "vehicle",
     ] {
         let path = examples().join(name).with_extension("toml");
         if let Err(error) = Structure::read(&path) {
@@ -78,7 +82,7 @@ fn the_demo_says_what_its_file_says() {
     let [rule] = demo.alert_rules() else { panic!("one rule") };
     assert_eq!(rule.parameters, [0, 1, 2, 3, 4]);
     assert_eq!((rule.loss, rule.credibility, rule.sustain_s), (0.05, 0.99, 5.0));
-    assert_eq!(rule.reference, Reference::Design);
+    assert_eq!(rule.reference, Reference::Baseline { learn_s: 30.0 });
     assert_eq!(demo.text(), DEMO);
 }
 
@@ -117,7 +121,7 @@ fn filter_settings_are_in_steps_and_variances() {
     assert!((settings.fading.value() - 2f64.powf(0.002)).abs() < 1e-15);
     assert_eq!(settings.prior_std.as_slice()[0], 1e-5);
     assert_eq!(settings.prior_std.as_slice()[5], 1e-4);
-    assert_eq!(settings.prior_std.as_slice()[10..], [0.2; 5]);
+    assert_eq!(settings.prior_std.as_slice()[10..], [0.2, 0.2, 0.2, 0.2, 0.2, 0.5]);
     assert_eq!(settings.noise.excitation[(0, 0)], 0.005 * 0.005);
     assert_eq!(settings.noise.sensors.norm(), 0.0, "adapted, so not known");
     assert_eq!(settings.noise.parameters.len(), 1);
@@ -666,7 +670,7 @@ fn mistakes_of_a_field_of_forces_are_told() {
     assert_eq!(
         found("level = 3.1623", "measured-on = \"floor-1\""),
         [
-            "excitation.measured-on: is not a known key, must be one of name, kind, adapt, level, dofs, mean, covariance, std, \
+            "excitation.measured-on: is not a known key, must be one of name, kind, adapt, level-factor, level, dofs, mean, covariance, std, \
           intensity, correlation-length, positions"
         ]
     );
@@ -718,4 +722,108 @@ fn a_response_is_a_displacement_a_velocity_or_a_strain() {
     );
     let twice = with("displacement").replace("name = \"roof\"", "name = \"storey-1\"");
     assert_eq!(mistakes(&twice), ["response.name: is \"storey-1\" once more, must be unique"]);
+}
+
+#[test]
+fn a_reference_is_learnt_for_thirty_periods_or_three_half_lives_unless_the_file_says_otherwise() {
+    let reference = |text: &str| read(text).unwrap().alert_rules()[0].reference.clone();
+    let without = DEMO.replace("reference = { learn-s = 30 }", "");
+    let Reference::Baseline { learn_s } = reference(&without) else { panic!("not learnt") };
+    assert!((learn_s - 30.0).abs() < 1e-9, "30 periods of 1 s: {learn_s}");
+    let Reference::Baseline { learn_s } = reference(&without.replace("half-life-s = 10", "half-life-s = 20")) else {
+        panic!("not learnt")
+    };
+    assert!((learn_s - 60.0).abs() < 1e-9, "three half-lives: {learn_s}");
+    let design = DEMO.replace("{ learn-s = 30 }", "{ design-std = 0.05 }");
+    assert_eq!(reference(&design), Reference::Given { mean: vec![1.0; 5], std: vec![0.05; 5] });
+}
+
+#[test]
+fn a_design_without_a_deviation_is_refused_with_what_to_write() {
+    let found = |to: &str| mistakes(&DEMO.replace("{ learn-s = 30 }", to));
+    assert_eq!(
+        found("\"design\""),
+        [
+            "alert.reference: is \"design\", must state how far the design may be off: { design-std = 0.05 }, or { learn-s = … } to \
+          learn the reference"
+        ]
+    );
+    assert_eq!(
+        found("{ design-std = 0.05, learn-s = 3 }"),
+        ["alert.reference.design-std: is given beside learn-s, must stand alone: the mean is that of the design, 1"]
+    );
+    assert_eq!(found("{ design-std = 0 }").len(), 1);
+}
+
+#[test]
+fn a_rule_for_stiffness_watches_no_damping() {
+    assert_eq!(read(DEMO).unwrap().alert_rules()[0].parameters, [0, 1, 2, 3, 4]);
+    let all = DEMO.replace("parameters = \"stiffness\"", "parameters = \"all\"");
+    assert_eq!(read(&all).unwrap().alert_rules()[0].parameters, [0, 1, 2, 3, 4, 5]);
+}
+
+#[test]
+fn a_measured_excitation_runs_straight_and_an_unmeasured_one_is_held() {
+    use spandrel_filter::InputHold;
+    let hold = |text: &str| read(text).unwrap().filter_settings().unwrap().input_hold;
+    assert_eq!(hold(DEMO), InputHold::First);
+    assert_eq!(hold(&DEMO.replace("half-life-s = 10", "input-hold = \"zero-order\"")), InputHold::Zero);
+    assert_eq!(hold(include_str!("../../../../docs/examples/output-only.toml")), InputHold::Zero);
+    let matrices = std::fs::read_to_string(examples().join("matrices.toml")).unwrap();
+    let mixed = read(&matrices.replace("input-hold = \"zero-order\"", "#")).unwrap();
+    assert_eq!(mixed.input_holds(), [InputHold::First, InputHold::Zero]);
+}
+
+#[test]
+fn the_level_of_an_unmeasured_excitation_is_identified_unless_it_is_known() {
+    let output_only = include_str!("../../../../docs/examples/output-only.toml");
+    let ground = |to: &str| {
+        let structure = read(&output_only.replace("level-factor = 3 ", to)).unwrap();
+        let settings = structure.filter_settings().unwrap();
+        let adapted = settings.noise.parameters.iter().find(|level| level.name == "ground");
+        adapted.map(|level| level.start_std / level.start)
+    };
+    // a factor F of the deviation is 2 ln F in the logarithm of the variance
+    for (to, factor) in [("#", 3.0_f64), ("level-factor = 2 #", 2.0), ("adapt = true #", 3.0)] {
+        assert!((ground(to).unwrap() - 2.0 * factor.ln()).abs() < 1e-12, "{to}");
+    }
+    assert_eq!((ground("level-factor = 1 #"), ground("adapt = false #")), (None, None));
+    // what is measured has the noise of its channel for a level, and keeps it
+    assert!(!read(DEMO).unwrap().noise_levels()[0].is_adapted());
+    assert_eq!(mistakes(&output_only.replace("level-factor = 3 ", "adapt = true\nlevel-factor = 1 #")).len(), 1);
+    assert_eq!(
+        mistakes(&DEMO.replace("measured-on = \"ground\"", "measured-on = \"ground\"\nlevel-factor = 2")).len(),
+        1
+    );
+}
+
+const PARTICLES: &str = include_str!("../../../../docs/examples/hysteretic-particles.toml");
+
+#[test]
+fn particles_are_read_with_their_keys_and_defaults() {
+    let keys = read(PARTICLES).unwrap().particles().unwrap();
+    assert_eq!((keys.particles, keys.drift_per_root_s, keys.warm_up_s), (500, 0.005, 2.0));
+    let text = PARTICLES.replace("particles = 500", "drift = 0.02\nwarm-up-s = 0").replace("density = \"prior\"", "");
+    let keys = read(&text).unwrap().particles().unwrap();
+    assert_eq!((keys.particles, keys.drift_per_root_s, keys.warm_up_s), (2000, 0.02, 0.0));
+    assert_eq!(read(DEMO).unwrap().particles(), None);
+}
+
+#[test]
+fn what_particles_cannot_do_and_their_keys_without_them_are_refused() {
+    for (added, told) in [
+        ("\n[outliers]\n", "outliers: is there, must not be there with filter.kind"),
+        ("\n[classes]\nkind = \"self-calibrating\"\n", "classes: is there, must not be there with filter.kind"),
+    ] {
+        let found = mistakes(&(PARTICLES.to_owned() + added));
+        assert!(found.iter().any(|mistake| mistake.contains(told)), "{found:?}");
+    }
+    let distributed = PARTICLES.replace("display-rate-hz = 10", "identification = \"distributed\"");
+    let found = mistakes(&distributed);
+    assert!(found.iter().any(|mistake| mistake.contains("nodes exchange Gaussian densities")), "{found:?}");
+    let found = mistakes(&PARTICLES.replace("kind = \"particle\"", ""));
+    let told = |key: &str| format!("filter.{key}: is of no use, must not be there without kind = \"particle\"");
+    assert_eq!(found, [told("particles"), told("density")]);
+    let found = mistakes(&PARTICLES.replace("particles = 500", "particles = 1"));
+    assert_eq!(found, ["filter.particles: is 1, must be a whole number from 2 to 10000000"]);
 }

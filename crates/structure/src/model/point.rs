@@ -112,6 +112,10 @@ impl Point {
         for (parameter, theta) in fixed.parameters.iter().zip(&self.theta) {
             match &parameter.scales {
                 Scales::Stiffness(_) | Scales::Dashpots(_) | Scales::Hysteresis(_) => {}
+                Scales::Damping => {
+                    self.alpha_per_s *= theta;
+                    self.beta_s *= theta;
+                }
                 Scales::DampingAlpha => self.alpha_per_s *= theta,
                 Scales::DampingBeta => self.beta_s *= theta,
                 Scales::Mass(dofs) => {
@@ -187,7 +191,8 @@ impl Point {
         }
     }
 
-    /// Writes `∂ẍ/∂θ`, with `∂R/∂θ = K_θ (x + β w)`, `C_θ ẋ`, `M ẋ` and `K w` for stiffness, dashpots, `α` and `β`.
+    /// Writes `∂ẍ/∂θ`, with `∂R/∂θ = K_θ (x + β w)`, `C_θ ẋ`, `M ẋ`, `K w` and their sum for stiffness, dashpots, `α`, `β` and
+    /// all Rayleigh damping.
     fn differentiate(&mut self, fixed: &Fixed) {
         let free = self.velocity.len();
         let columns = self.restoring_by_theta.as_mut_slice().chunks_exact_mut(free);
@@ -209,7 +214,7 @@ impl Point {
                     }
                 }
                 Scales::Hysteresis(_) => continue, // moves the rate of r only
-                Scales::DampingBeta => {
+                Scales::Damping | Scales::DampingBeta => {
                     fixed.assembly.mul_to(&self.stiffness, &self.driving, column);
                     column.iter_mut().for_each(|entry| *entry *= fixed.beta_s);
                 }
@@ -234,6 +239,12 @@ impl Point {
             for ((entry, of_acceleration), (reciprocal, factor)) in entries.zip(by_mass) {
                 *entry *= if is_divided { -reciprocal * factor } else { 1.0 };
                 *of_acceleration = *entry;
+            }
+            if matches!(parameter.scales, Scales::Damping) {
+                for ((entry, of_acceleration), v) in column.iter_mut().zip(of_acceleration).zip(&self.velocity) {
+                    *entry -= fixed.alpha_per_s * v; // −M⁻¹ α M ẋ
+                    *of_acceleration = *entry;
+                }
             }
         }
         for (index, parameter) in fixed.parameters.iter().enumerate() {

@@ -232,12 +232,25 @@ group = [{ name = "first", section = "steel", paths = [[1, 2], [1, 3]] }, { name
 support = [{ nodes = [2, 3, 4], fixed = ["x", "y", "z"] }]
 "#;
 
+const WHOLE_DAMPING: &str = "[[parameter]]\nname = \"damping\"\nscales = \"damping\"\nof = \"all\"\n";
+
+/// The same building with one factor for both parts of its damping.
+fn with_whole_damping(structure: &Structure) -> Structure {
+    let text = structure.text();
+    let (start, end) =
+        (text.find("[[parameter]]\n        name = \"alpha\"").unwrap(), text.find("[[excitation]]").unwrap());
+    parse(&format!("{}{WHOLE_DAMPING}{}", &text[..start], &text[end..]))
+}
+
 fn examples() -> Vec<(&'static str, Structure)> {
     let rayleigh = "kind = \"rayleigh\"\nalpha-per-s = 0.3\nbeta-s = 0.004";
     let given = "kind = \"matrix\"\nfile = \"c.mtx\"";
     let lumped = "%%MatrixMarket matrix coordinate real symmetric\n3 3 3\n1 1 2\n2 2 1.5\n3 3 1\n";
     vec![
         ("shear building", shear_building()),
+        ("shear building, all its damping", with_whole_damping(&shear_building())),
+        ("consistent mass, all its damping", of_matrices(CONSISTENT_MASS, &format!("{rayleigh}\n{WHOLE_DAMPING}"))),
+        ("damping matrix as a whole", of_matrices(lumped, &format!("{given}\n{WHOLE_DAMPING}"))),
         ("consistent mass, Rayleigh damping", of_matrices(CONSISTENT_MASS, rayleigh)),
         ("consistent mass, damping matrix", of_matrices(CONSISTENT_MASS, given)),
         ("lumped mass, damping matrix", of_matrices(lumped, given)),
@@ -579,4 +592,16 @@ proptest! {
             }
         }
     }
+}
+
+/// A factor on all damping is that of the coefficients, for Rayleigh damping, dashpots and a given matrix.
+#[test]
+fn a_factor_on_all_damping_is_one_on_its_coefficients() {
+    let whole = with_whole_damping(&shear_building());
+    let doubled = parse(
+        &whole.text().replace("alpha-per-s = 0.3", "alpha-per-s = 0.6").replace("beta-s = 0.004", "beta-s = 0.008"),
+    );
+    let [by_factor, by_file] = [(&whole, 2.0), (&doubled, 1.0)]
+        .map(|(structure, factor)| LinearForm::new(&mut structure.model(), &[1.0, 1.0, factor]).system);
+    assert!((by_factor - &by_file).norm() <= 1e-14 * by_file.norm());
 }

@@ -23,7 +23,8 @@ pub(super) enum Amplitude {
 pub(super) struct Motion {
     model: StructureModel,
     step_s: f64,
-    hold: InputHold,
+    /// How each component of the excitation runs between frames.
+    holds: Vec<InputHold>,
     rule: Rule,
     /// `u` (2 N_d)
     state: DVector<f64>,
@@ -55,16 +56,16 @@ impl Motion {
         mut model: StructureModel,
         theta: &[f64],
         step_s: f64,
-        hold: InputHold,
+        holds: Vec<InputHold>,
         amplitude: Amplitude,
         state: DVector<f64>,
     ) -> Self {
         let rule = if model.is_hysteretic() && amplitude == Amplitude::Any {
             Rule::RungeKutta(Stages::new(&mut model, theta, step_s))
         } else {
-            exact(&mut model, theta, step_s, hold)
+            exact(&mut model, theta, step_s, &holds)
         };
-        Self { model, step_s, hold, rule, next_state: state.clone(), state }
+        Self { model, step_s, holds, rule, next_state: state.clone(), state }
     }
 
     /// Returns `u` (2 N_d).
@@ -75,7 +76,7 @@ impl Motion {
     /// Changes the parameters from now on.
     pub(super) fn set_parameters(&mut self, theta: &[f64]) {
         match &mut self.rule {
-            Rule::Exact { .. } => self.rule = exact(&mut self.model, theta, self.step_s, self.hold),
+            Rule::Exact { .. } => self.rule = exact(&mut self.model, theta, self.step_s, &self.holds),
             Rule::RungeKutta(stages) => stages.theta.copy_from_slice(theta),
         }
     }
@@ -101,28 +102,28 @@ impl Motion {
             Rule::Exact { recursion: Recursion { transition, input, slope }, .. } => {
                 self.next_state.gemv(1.0, transition, &self.state, 0.0); // A u                 (2.7)
                 self.next_state.gemv(1.0, input, excitation, 1.0); // + B f_i
-                if self.hold == InputHold::First {
+                if self.holds.contains(&InputHold::First) {
                     self.next_state.gemv(1.0, slope, next, 1.0); // + B₁ (f_{i+1} − f_i)
                     self.next_state.gemv(-1.0, slope, excitation, 1.0);
                 }
                 std::mem::swap(&mut self.state, &mut self.next_state);
             }
             Rule::RungeKutta(stages) => {
-                let to = match self.hold {
-                    InputHold::Zero => excitation,
-                    InputHold::First => next,
-                };
+                let mut to = excitation.clone();
+                for (input, _) in self.holds.iter().enumerate().filter(|(_, hold)| **hold == InputHold::First) {
+                    to[input] = next[input];
+                }
                 for substep in 0..stages.substeps {
-                    stages.advance(&mut self.model, &mut self.state, self.step_s, substep, [excitation, to]);
+                    stages.advance(&mut self.model, &mut self.state, self.step_s, substep, [excitation, &to]);
                 }
             }
         }
     }
 }
 
-fn exact(model: &mut StructureModel, theta: &[f64], step_s: f64, hold: InputHold) -> Rule {
+fn exact(model: &mut StructureModel, theta: &[f64], step_s: f64, holds: &[InputHold]) -> Rule {
     let form = LinearForm::new(model, theta);
-    Rule::Exact { recursion: form.recursion(step_s, hold), observation: form.observation, direct: form.direct }
+    Rule::Exact { recursion: form.recursion(step_s, holds), observation: form.observation, direct: form.direct }
 }
 
 impl Stages {

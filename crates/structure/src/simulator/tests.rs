@@ -48,6 +48,8 @@ fn oscillator(simulation: &str) -> Structure {
         dof = 1
         unit = "m"
         noise-std = 1e-12
+        [filter]
+        input-hold = "zero-order"
         {simulation}"#
     ))
 }
@@ -82,12 +84,12 @@ fn an_oscillator_follows_its_closed_solution() {
 fn a_first_order_hold_is_the_limit_of_small_held_steps() {
     let mut model = oscillator("").model();
     let form = LinearForm::new(&mut model, &[1.0]);
-    let Recursion { transition, input, slope } = form.recursion(0.02, InputHold::First);
+    let Recursion { transition, input, slope } = form.recursion(0.02, &[InputHold::First]);
     let start = DVector::from_column_slice(&[0.01, -0.2]);
     let (from, to) = (3.0, -5.0);
     let whole = &transition * &start + &input * from + &slope * (to - from);
     let error = |parts: usize| {
-        let small = form.recursion(0.02 / parts as f64, InputHold::Zero);
+        let small = form.recursion(0.02 / parts as f64, &[InputHold::Zero]);
         let mut state = start.clone();
         for part in 0..parts {
             let middle = from + (to - from) * (part as f64 + 0.5) / parts as f64;
@@ -238,7 +240,7 @@ fn a_slower_node_has_a_value_in_every_other_frame() {
 #[test]
 fn the_truth_follows_the_damage() {
     let demo = parse(DEMO);
-    assert_eq!(demo.true_parameters(5999), [1.0; 5]);
+    assert_eq!(demo.true_parameters(5999), [1.0; 6]);
     assert_eq!(demo.true_parameters(6000)[1], 0.85);
     let noisy = Structure::read(Path::new("../../docs/examples/noisy.toml")).unwrap();
     // 10 % over 30 s from 60 s on, then 5 % of another storey at 120 s
@@ -263,7 +265,7 @@ fn the_recursion_is_the_integral_of_the_process() {
     let mut model = oscillator("").model();
     let form = LinearForm::new(&mut model, &[1.0]);
     let h = 1e-6;
-    let recursion = form.recursion(h, InputHold::Zero);
+    let recursion = form.recursion(h, &[InputHold::Zero]);
     let state = [0.3, -0.1, 1.0];
     model.linearise_process(&state, &[4.0]);
     let mut rate = [0.0; 3];

@@ -60,11 +60,14 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let baseline = |class| class == ClassId::Baseline;
     // a repair of a small error late in the window may come from the next damage's side: the page counts from the last one
     let last_of_first = last(first_s, second_s);
-    figures.push(Figure::new(
+    let share = Figure::new(
         "share in which the baseline leads, from the last calibration of the first damage on",
         seen.share(last_of_first, second_s, baseline),
-        // in the short record a second or two of another class is too much
-        run.pick(Required::AtLeast(0.95), Required::Reported),
+        Required::AtLeast(0.95),
+    );
+    figures.push(run.pick(
+        share.clone(),
+        share.known_miss("in the short record, the repair of an error of less than 1 % takes a good part of the time"),
     ));
     let after_second = seen.calibrations(second_s, seconds);
     let classes: std::collections::BTreeSet<usize> = after_second
@@ -86,14 +89,14 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         Figure::new(
             "share of the last second in which the baseline leads",
             seen.share(seconds - 1.0, seconds, baseline),
-            // a repair that is under way when the record ends takes a second
-            Required::Reported,
+            Required::AtLeast(1.0),
         )
-        .published(1.0),
+        .published(1.0)
+        .known_miss("a repair of less than 1 % that is under way when the record ends takes a second"),
         Figure::new(
             "share in which the baseline leads, from the last calibration of the record on",
             seen.share(last(second_s, seconds), seconds, baseline),
-            run.pick(Required::AtLeast(0.95), Required::Reported),
+            Required::AtLeast(0.95),
         )
         .published(1.0),
     ]);

@@ -5,7 +5,7 @@
 
 use super::classes::{Comparison, compare, published_settings};
 use crate::error::ValidateError;
-use crate::figure::{Figure, Judgement, Required};
+use crate::figure::{Figure, Required};
 use crate::outcome::Outcome;
 use crate::run::Run;
 use crate::scene::{Plan, Scene};
@@ -64,15 +64,15 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Required::Between { low: 0.0, high: 8.0 },
         )
         .published(6.432),
-        // the records on which the requirement rests are no longer than that
         Figure::new(
             "other bars calibrated within 20 s after the first damage",
             wrong(second_s.min(first_s + 20.0)),
             Required::AtMost(0.0),
         )
         .published(0.0),
-        Figure::new("other bars calibrated before the second damage", wrong(second_s), Required::Reported)
-            .published(0.0),
+        Figure::new("other bars calibrated before the second damage", wrong(second_s), Required::AtMost(0.0))
+            .published(0.0)
+            .known_miss("one seed in three repairs two healthy bars within the 100 s between the damages"),
         Figure::new(
             "bar 31 before the second damage",
             seen.courses[FIRST].mean(second_s - 1.0, second_s),
@@ -121,8 +121,7 @@ fn double_damage(seen: &Comparison, second_s: f64, seconds: f64, figures: &mut V
     figures.extend([
         Figure::new("second damage: bar 22 healed (s)", times[0], Required::Reported).published(4.804),
         Figure::new("second damage: bar 40 healed (s)", times[1], Required::Reported).published(3.636),
-        Figure::new("second damage: both bars healed within 15 s", in_time, Required::AtLeast(1.0))
-            .judged(Judgement::TwoThirds),
+        Figure::new("second damage: both bars healed within 15 s", in_time, Required::AtLeast(1.0)),
         Figure::new("second damage: down (s)", seen.first_event(second_s, down), Required::Reported).published(7.074),
     ]);
     let error = |bar: usize, truth: f64| (seen.courses[bar].mean(seconds - 10.0, seconds) - truth).abs();

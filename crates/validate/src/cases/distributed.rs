@@ -9,7 +9,7 @@ use crate::network::{Fused, settled};
 use crate::outcome::{Outcome, Table};
 use crate::run::Run;
 use crate::scene::{self, Course, Plan, Scene};
-use crate::statistics::{Accuracy, least};
+use crate::statistics::{Accuracy, Mean, least};
 use spandrel_structure::Structure;
 
 const BUILDING: &str = include_str!("../../../../docs/examples/forty-storey-building.toml");
@@ -184,6 +184,14 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
             coverage(&fused[..example.groups], &damages),
             judged(Required::AtLeast(0.95)),
         ));
+        figures.push(
+            Figure::new(
+                format!("{name}: share of the fusions with all stiffnesses within 3 deviations"),
+                all_covered(&fused[..example.groups]),
+                judged(Required::AtLeast(0.95)),
+            )
+            .known_miss("an interval does not hold the truth while the estimate follows a damage"),
+        );
         for ((group, truth), at_s) in example.damaged.iter().zip(damages) {
             let name_of = scene.structure.parameters()[*group].name();
             let end = fused[*group].points.last().map_or(f64::NAN, |point| point[1]);
@@ -259,6 +267,19 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
 /// Least coverage of the parameters.
 fn coverage(courses: &[Course], damages: &[f64]) -> f64 {
     least(courses.iter().map(|course| settled(course, COUNTED_FROM_S, damages, AFTER_DAMAGE_S).coverage()))
+}
+
+/// Share of the fusions after the start in which every parameter is within three deviations, also right after a damage.
+fn all_covered(courses: &[Course]) -> f64 {
+    let mut share = Mean::default();
+    for fusion in 0..courses.first().map_or(0, |course| course.points.len()) {
+        let points = courses.iter().map(|course| course.points[fusion]);
+        if courses[0].points[fusion][0] > COUNTED_FROM_S {
+            let mut inside = points.map(|[_, mean, std, truth]| (mean - truth).abs() <= 3.0 * std);
+            share.take(f64::from(u8::from(inside.all(|inside| inside))));
+        }
+    }
+    share.value()
 }
 
 /// Numbers that nodes send and are sent, beside the samples that they stand for.

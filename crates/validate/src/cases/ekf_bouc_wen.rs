@@ -22,6 +22,9 @@ const STEP_S: f64 = 0.002;
 const SENSED: [usize; 5] = [0, 2, 4, 7, 9];
 const NAMES: [&str; GROUPS + SHAPE_PARAMETERS] =
     ["θ1", "θ2", "θ3", "θ4", "θ5", "θ6", "alpha", "beta", "mu", "kappa", "eta"];
+/// Why the constants of yielding are missed with the printed intensity.
+const HARDLY_YIELDS: &str =
+    "the springs hardly yield, and some records lock these constants at a tenth of their values";
 /// Springs whose forces are compared (from 0).
 const SPRINGS: [usize; 4] = [0, 1, 4, 9];
 
@@ -213,20 +216,31 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             // stiffness is as good as with the larger intensity, with deviations of 0.002 to 0.006 ± 30 %; of the constants of
             // yielding little is learnt
             let deviation = Required::Between { low: 0.7 * 0.002, high: 1.3 * 0.006 };
+            let constant = Required::Between { low: 0.88, high: 1.39 };
             let (required, of_std) = match j {
                 0 => (Required::Within { of: 0.901, by: within }, deviation),
                 1 => (Required::Within { of: 0.954, by: within }, deviation),
                 _ if j < GROUPS => (Required::Within { of: 1.0, by: within }, deviation),
-                _ => (Required::Reported, Required::Reported),
+                6 => (Required::Within { of: 1.0, by: 0.3 }, Required::Reported),
+                7 => (Required::Within { of: 1.0, by: 0.03 }, Required::Reported),
+                8 => (constant, Required::Between { low: 0.45, high: 0.93 }),
+                9 => (constant, Required::Between { low: 0.35, high: 0.75 }),
+                _ => (constant, Required::Between { low: 0.04, high: 0.07 }),
             };
-            figures.extend([
-                Figure::new(
-                    format!("printed intensity, {name}: mean over 60 to 70 s"),
-                    course.mean(60.0, 70.0),
-                    required,
-                ),
-                Figure::new(format!("printed intensity, {name}: its deviation"), course.std(60.0, 70.0), of_std),
-            ]);
+            let mean = Figure::new(
+                format!("printed intensity, {name}: mean over 60 to 70 s"),
+                course.mean(60.0, 70.0),
+                required,
+            );
+            let deviation =
+                Figure::new(format!("printed intensity, {name}: its deviation"), course.std(60.0, 70.0), of_std);
+            let inside = Figure::new(
+                format!("printed intensity, {name}: share inside 3 sd after 20 s"),
+                course.accuracy(20.0).coverage(),
+                if j > 7 { Required::AtLeast(0.91) } else { Required::Reported },
+            );
+            let known = |figure: Figure| if j > 7 { figure.known_miss(HARDLY_YIELDS) } else { figure };
+            figures.extend([mean, deviation, inside].map(known));
         }
         plots.push(printed.courses[8].plot("mu with the printed intensity", "ratio to nominal", (0.0, 3.0)));
     }

@@ -81,8 +81,9 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                 Figure::new(
                     named(&format!("its stated deviation along {direction}")),
                     course.std(settled_s, seconds),
-                    Required::Reported,
-                ),
+                    run.pick(Required::relative(4e-4, 0.3), Required::Reported),
+                )
+                .known_miss("each direction has a factor of its own, learnt from half of the channels"),
             ]);
         }
         let names = ["displacement along x", "displacement along y", "velocity along x", "velocity along y"];

@@ -154,7 +154,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         ),
         // its interval misses the truth
         Figure::new("case 2: distance of β from the truth in deviations", weak.beta.bias(), Required::AtLeast(3.0)),
-        Figure::new("case 2: share of time in which β is covered", weak.beta.coverage(), Required::AtMost(0.5)),
+        Figure::new("case 2: share of time in which β is covered", weak.beta.coverage(), Required::AtMost(0.0))
+            .known_miss("in some records the estimate passes the truth on its way, for up to 3 of the 10 s"),
         Figure::new("case 2: share of time in which θ is covered", weak.stiffness.coverage(), Required::Reported),
         Figure::new("case 1: share of time in which θ is covered", right.stiffness.coverage(), Required::Reported),
     ];

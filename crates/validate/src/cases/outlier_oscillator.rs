@@ -2,10 +2,11 @@
 //!
 //! Not printed and fixed here: the input is ground acceleration; the half-life is 8000 steps, which meets the published
 //! errors best; the prior is wide and its mean random, so each seed stands for several runs, of which the root mean squares
-//! are taken.
+//! are taken. The start-up aid of chapter 2 is on, as in the example file: without it, one run in thirty is lost. The plain
+//! filter on corrupted data, which shows what the screening is for, has no such aid, as in the source.
 
 use crate::error::ValidateError;
-use crate::figure::{Figure, Judgement, Required};
+use crate::figure::{Figure, Required};
 use crate::outcome::{Outcome, Plot, Series, SeriesKind, Table};
 use crate::run::Run;
 use crate::statistics::{Accuracy, Mean, Normal, Uniform, rms};
@@ -74,6 +75,17 @@ fn simulate(seed: u64, steps: usize, drops: [f64; 2]) -> Record {
     Record { truth, clean, regular, corrupted, wrong, noise_std }
 }
 
+/// A filter and its data.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Way {
+    /// The plain filter on regular data.
+    Regular,
+    /// The plain filter on corrupted data.
+    Corrupted,
+    /// The filter that screens, on corrupted data.
+    Proposed,
+}
+
 /// What one filter made of one record.
 struct Tracked {
     accuracy: [Accuracy; 4],
@@ -87,15 +99,10 @@ struct Tracked {
     samples: [Vec<(f32, f32)>; 2],
 }
 
-fn track(
-    record: &Record,
-    data: &[f64],
-    start: [f64; 2],
-    screened: bool,
-    run: &Run<'_>,
-) -> Result<Tracked, ValidateError> {
+fn track(record: &Record, data: &[f64], start: [f64; 2], way: Way, run: &Run<'_>) -> Result<Tracked, ValidateError> {
     let structure = Structure::parse(FILE, Path::new("corrupted-oscillator.toml"))?;
     let mut settings = structure.filter_settings().map_err(ValidateError::setting)?;
+    settings.misfit = None; // the method as it was published
     settings.noise.sensors[(0, 0)] = record.noise_std.powi(2);
     settings.noise.excitation[(0, 0)] = 2.0 * PI * 1.5e-6 / STEP_S;
     (settings.prior_std[0], settings.prior_std[1]) = (1e-4, 1e-5_f64.sqrt());
@@ -103,7 +110,10 @@ fn track(
     settings.variance_bound.fill(f64::INFINITY);
     settings.lower.rows_mut(2, 2).fill(0.05);
     settings.upper.rows_mut(2, 2).fill(10.0);
-    settings.outliers = screened.then(|| OutlierSettings {
+    if way == Way::Corrupted {
+        settings.annealing = None;
+    }
+    settings.outliers = (way == Way::Proposed).then(|| OutlierSettings {
         training: OutlierTraining::Gated(4.0),
         training_steps: TRAINING,
         window: WINDOW,
@@ -190,6 +200,10 @@ impl Column {
     }
 }
 
+/// Why the screening takes fewer samples for wrong than specified.
+const WIDE_SCALE: &str =
+    "the training of the first scale falls into the start-up aid, which makes it too wide for minutes";
+
 /// Table 4.1: rms errors, then mean absolute errors, of the plain filter on regular and corrupted data and of the proposed.
 const TABLE_4_1: [[f64; 6]; 4] = [
     [4.12e-6, 1.78e-4, 5.16e-6, 3.25e-6, 1.28e-4, 3.60e-6],
@@ -210,10 +224,11 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let record = simulate(1_000 * run.seed + repeat, steps, drops);
         let mut start = Uniform::stream(1_000 * run.seed + repeat, 3);
         let start = [start.between(0.5, 1.5), start.between(0.5, 1.5)];
-        let filters = [(&record.regular, false), (&record.corrupted, false), (&record.corrupted, true)];
-        for (way, (data, screened)) in filters.into_iter().enumerate() {
-            let tracked = track(&record, data, start, screened, run)?;
-            columns[way].take(&tracked);
+        for (column, way) in [Way::Regular, Way::Corrupted, Way::Proposed].into_iter().enumerate() {
+            let data = if way == Way::Regular { &record.regular } else { &record.corrupted };
+            let tracked = track(&record, data, start, way, run)?;
+            columns[column].take(&tracked);
+            let screened = way == Way::Proposed;
             if screened {
                 for (sum, one) in
                     [(&mut masked, tracked.masked), (&mut gross, tracked.gross_masked), (&mut swamped, tracked.swamped)]
@@ -246,8 +261,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let required = run.pick(Required::relative(of, share), Required::Reported);
         figures.extend([
             Figure::new(format!("{name}: rms error on regular data"), regular.rms(j), required)
-                .published(TABLE_4_1[j][0])
-                .judged(Judgement::Mean),
+                .published(TABLE_4_1[j][0]),
             Figure::new(
                 format!("{name}: proposed over regular"),
                 proposed.rms(j) / regular.rms(j),
@@ -263,11 +277,20 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         ]);
     }
     let share = |counts: [f64; 2]| counts[0] / counts[1];
+    let in_short_record = |figure: Figure| run.pick(figure.clone(), figure.known_miss(WIDE_SCALE));
     figures.extend([
-        Figure::new("swamping", share(swamped), Required::Between { low: 0.003, high: 0.013 }).published(0.0031),
+        in_short_record(
+            Figure::new("swamping", share(swamped), Required::Between { low: 0.003, high: 0.013 }).published(0.0031),
+        ),
         // an outlier anywhere in the range of the response often lies where a regular sample would, and has to be accepted
-        Figure::new("masking, raw: of all wrong samples", share(masked), Required::Between { low: 0.08, high: 0.15 })
+        in_short_record(
+            Figure::new(
+                "masking, raw: of all wrong samples",
+                share(masked),
+                Required::Between { low: 0.08, high: 0.15 },
+            )
             .published(0.0002),
+        ),
         Figure::new(
             "masking, of wrong samples farther than five scales of the residuals from the clean one",
             share(gross),
@@ -277,8 +300,9 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         Figure::new(
             "share of samples whose probability was evaluated",
             evaluated.value(),
-            Required::Between { low: run.pick(0.045, 0.04), high: 0.06 },
-        ),
+            Required::Between { low: 0.045, high: 0.06 },
+        )
+        .known_miss(WIDE_SCALE),
         Figure::new("ε_u of the window", upper_bound(WINDOW), Required::Within { of: 3.9787, by: 1e-4 })
             .published(3.9787),
     ]);

@@ -97,6 +97,9 @@ impl Renewal {
     }
 }
 
+/// Why the roof is less certain than stated.
+const TOO_FEW: &str = "2000 particles are too few for 20 states";
+
 fn settings(run: &Run<'_>) -> ParticleSettings {
     ParticleSettings { particles: PARTICLES, seed: run.seed, ..ParticleSettings::default() }
 }
@@ -251,15 +254,23 @@ pub(super) fn drifting_building(run: &Run<'_>) -> Result<Outcome, ValidateError>
         ]);
     }
     figures.extend([
-        Figure::new("roof displacement: relative error", roof[0].error(), Required::Reported),
-        Figure::new("roof displacement: share inside the 95 % interval", roof[0].coverage(), Required::Reported),
+        Figure::new("roof displacement: relative error", roof[0].error(), full(Required::AtMost(0.035)))
+            .known_miss(TOO_FEW),
         Figure::new(
-            "share of the steps at which particles were drawn anew",
-            renewal.resampled as f64 / renewal.steps as f64,
-            Required::Between { low: 0.31, high: 0.44 },
-        ),
+            "roof displacement: share inside the 95 % interval",
+            roof[0].coverage(),
+            full(Required::AtLeast(0.88)),
+        )
+        .known_miss(TOO_FEW),
+        Figure::new(
+            "times that particles were drawn anew, of 950",
+            renewal.resampled as f64,
+            full(Required::Between { low: 350.0, high: 360.0 }),
+        )
+        .known_miss("it follows the record; the range is that of two records"),
         Figure::new("mean of the effective share", renewal.share(), Required::Within { of: 0.31, by: 0.04 }),
-        Figure::new("first ancestors that survive", filter.surviving_ancestors() as f64, Required::AtMost(3.0)),
+        Figure::new("first ancestors that survive", filter.surviving_ancestors() as f64, Required::AtMost(1.0))
+            .known_miss("how many resamplings it takes follows the record"),
     ]);
     for (storey, track) in by_kalman.iter().take(STOREYS).enumerate() {
         let name = format!("k{}: relative error of the extended Kalman filter", storey + 1);
@@ -311,16 +322,18 @@ pub(super) fn hysteretic(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         figures.push(Figure::new(
             format!("{name}: share inside the 95 % interval"),
             track.coverage(),
-            if ["θ2", "θ4"].contains(&name) { Required::Reported } else { Required::AtLeast(0.89) },
+            Required::AtLeast(if ["θ2", "θ4"].contains(&name) { 0.66 } else { 0.89 }),
         ));
     }
     figures.extend([
         Figure::new(
             "times that particles were drawn anew, of 201",
             renewal.resampled as f64,
-            Required::Between { low: 25.0, high: 40.0 },
-        ),
-        Figure::new("mean of the effective share", renewal.share(), Required::Within { of: 0.44, by: 0.06 }),
+            Required::Between { low: 29.0, high: 32.0 },
+        )
+        .known_miss("it follows the record; the range is that of two records"),
+        Figure::new("mean of the effective share", renewal.share(), Required::Between { low: 0.42, high: 0.45 })
+            .known_miss("it follows the record; the range is that of two records"),
     ]);
     // two importance densities, one evidence: on the same record, without the constant that they share
     let steps = run.pick(STEPS, 50);

@@ -1,0 +1,107 @@
+//! The file of a baseline: JSON, version 2. Files of version 1 are still read.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Baseline, ParameterBaseline};
+use crate::AlertError;
+
+/// Type and version in the file.
+const FORMAT: &str = "spandrel.baseline.v2";
+
+/// The version before: its scatter between records counted as known, and as zero for one record.
+const FORMAT_1: &str = "spandrel.baseline.v1";
+
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    format: String,
+    structure: String,
+    records: usize,
+    parameters: Vec<ParameterBaseline>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File1 {
+    #[serde(rename = "format")]
+    _format: String,
+    structure: String,
+    records: usize,
+    parameters: Vec<Parameter1>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Parameter1 {
+    parameter: String,
+    mean: f64,
+    #[serde(rename = "std")]
+    _std: f64,
+    within_std: f64,
+    between_std: f64,
+}
+
+/// The part that all versions have.
+#[derive(Debug, Deserialize)]
+struct Versioned {
+    format: String,
+}
+
+impl Baseline {
+    /// Reads a baseline file of version 2 or 1.
+    ///
+    /// The scatter of a file of version 1 is taken as estimated from its records. With one record it
+    /// is unknown.
+    ///
+    /// # Errors
+    /// The file cannot be read, is no baseline of these versions, or holds a value that cannot be a reference.
+    pub fn read(path: &Path) -> Result<Self, AlertError> {
+        let text =
+            std::fs::read_to_string(path).map_err(|source| AlertError::File { path: path.to_owned(), source })?;
+        let syntax = |source| AlertError::BaselineSyntax { path: path.to_owned(), source };
+        let Versioned { format } = serde_json::from_str(&text).map_err(syntax)?;
+        let baseline = match format.as_str() {
+            FORMAT => {
+                let File { structure, records, parameters, .. } = serde_json::from_str(&text).map_err(syntax)?;
+                Self { structure, records, parameters, is_old_file: false }
+            }
+            FORMAT_1 => Self::from_version_1(serde_json::from_str(&text).map_err(syntax)?),
+            _ => return Err(AlertError::BaselineFormat { path: path.to_owned(), found: format, expected: FORMAT }),
+        };
+        if baseline.records == 0 {
+            return Err(AlertError::NoRecords);
+        }
+        baseline.check()?;
+        Ok(baseline)
+    }
+
+    fn from_version_1(file: File1) -> Self {
+        let records = file.records;
+        let parameters = file.parameters.into_iter().map(|old| ParameterBaseline {
+            parameter: old.parameter,
+            mean: old.mean,
+            within_std: old.within_std,
+            between_std: (records > 1).then_some(old.between_std),
+            degrees_of_freedom: (records > 1).then(|| records as f64 - 1.0),
+        });
+        Self { structure: file.structure, records, parameters: parameters.collect(), is_old_file: true }
+    }
+
+    /// Writes the baseline file, in version 2.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), AlertError> {
+        let file = File {
+            format: FORMAT.to_owned(),
+            structure: self.structure.clone(),
+            records: self.records,
+            parameters: self.parameters.clone(),
+        };
+        let text = serde_json::to_string_pretty(&file)
+            .map_err(|source| AlertError::BaselineSyntax { path: path.to_owned(), source })?;
+        std::fs::write(path, text + "\n").map_err(|source| AlertError::File { path: path.to_owned(), source })
+    }
+}

@@ -1,0 +1,204 @@
+use super::*;
+use crate::{loss_estimate, probability_of_loss};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, Normal};
+
+fn record(mean: f64, std: f64) -> RecordSummary {
+    RecordSummary::from_estimates(vec![[(mean, std)]; 50]).unwrap()
+}
+
+fn estimated(records: &[RecordSummary]) -> Result<Baseline, AlertError> {
+    Baseline::from_records("tower", &["storey-1"], records, BetweenRecords::Estimated)
+}
+
+fn stated(records: &[RecordSummary], std: f64) -> Result<Baseline, AlertError> {
+    Baseline::from_records("tower", &["storey-1"], records, BetweenRecords::Stated(std))
+}
+
+fn estimate(mean: f64, std: f64) -> ParameterEstimate {
+    ParameterEstimate { time_ns: 0, mean, std }
+}
+
+#[test]
+fn scatter_between_records_widens_the_reference() {
+    // m = 0.9, 1.0, 1.1: b² = 0.01, and s_r² = 0.01·4/3.
+    let records = [record(0.9, 0.02), record(1.0, 0.02), record(1.1, 0.02)];
+    let reference = estimated(&records).unwrap().reference("storey-1").unwrap();
+    assert!((reference.mean() - 1.0).abs() < 1e-12);
+    assert!((reference.std().powi(2) - 0.013_333_333_333).abs() < 1e-9, "{}", reference.std());
+    assert_eq!(reference.scatter().unwrap().degrees_of_freedom, 2.0);
+}
+
+#[test]
+fn one_record_knows_no_scatter_and_is_no_reference_for_another() {
+    let baseline = estimated(&[record(0.9, 0.02)]).unwrap();
+    assert!(matches!(baseline.claim("storey-1"), Some(Err(AlertError::OneRecord))));
+    assert!(baseline.for_structure("storey-1", &estimate(0.9, 0.02)).is_none());
+    assert_eq!(baseline.parameter("storey-1").unwrap().between_std, None);
+}
+
+#[test]
+fn stated_scatter_makes_one_record_a_reference() {
+    // σ_b = 0.05, v = 0.02², n = 1: s_r² = 2·0.0025 + 0.0004.
+    let baseline = stated(&[record(0.9, 0.02)], 0.05).unwrap();
+    let reference = baseline.reference("storey-1").unwrap();
+    assert!((reference.std().powi(2) - 0.0054).abs() < 1e-12);
+    assert!(reference.scatter().is_none());
+}
+
+#[test]
+fn stated_scatter_that_the_records_contradict_is_refused() {
+    // b = 0.0707 with one degree of freedom: χ²/1 = 50 where 0.01 is stated, 2 where 0.05 is.
+    let records = [record(0.9, 1e-6), record(1.0, 1e-6)];
+    let error = stated(&records, 0.01).unwrap_err();
+    assert!(std::error::Error::source(&error).unwrap().to_string().contains("0.0707"), "{error:?}");
+    assert!(stated(&records, 0.05).is_ok());
+    // χ² of 10.828 with one, 16.266 with three degrees of freedom is exceeded with probability 0.001 (Abramowitz & Stegun
+    // 1964, table 26.8)
+    assert!((largest_mean_square(1.0) - 10.828).abs() < 1e-3, "{}", largest_mean_square(1.0));
+    assert!((3.0 * largest_mean_square(3.0) - 16.266).abs() < 1e-3, "{}", largest_mean_square(3.0));
+}
+
+#[test]
+fn scatter_too_large_for_so_few_records_is_no_reference() {
+    let baseline = estimated(&[record(0.8, 0.01), record(1.0, 0.01)]).unwrap();
+    assert!(matches!(baseline.claim("storey-1"), Some(Err(AlertError::FewRecords { .. }))), "{baseline:?}");
+    assert!(baseline.reference("storey-1").is_none());
+    // the same scatter is known well enough from ten
+    let ten: Vec<RecordSummary> = (0..10).map(|i| record(0.8 + 0.2 * f64::from(i % 2), 0.01)).collect();
+    assert!(estimated(&ten).unwrap().reference("storey-1").is_some());
+}
+
+/// A bound of 0.99 may be exceeded by 1 % of sound records: with normal scatter by as many, and by fewer where the records
+/// themselves are uncertain, because that uncertainty is counted twice. 20 000 draws give 1 % ± 0.07 %.
+#[test]
+fn bound_of_99_percent_is_exceeded_by_about_one_percent_of_sound_records() {
+    const DRAWS: u32 = 20_000;
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let between = Normal::new(0.0, 0.01).unwrap();
+    for n in [2_usize, 3, 5, 10] {
+        for (within_std, least) in [(1e-5, 0.008), (0.003, 0.004), (0.01, 0.0005)] {
+            let within = Normal::new(0.0, within_std).unwrap();
+            let mut show = || 1.0 + between.sample(&mut random) + within.sample(&mut random);
+            let mut exceeded = 0;
+            for _ in 0..DRAWS {
+                let spans: Vec<SpanSummary> = (0..n)
+                    .map(|_| SpanSummary {
+                        mean: show(),
+                        estimate_variance: within_std * within_std,
+                        drift_variance: 0.0,
+                    })
+                    .collect();
+                let parameter = join_spans("storey-1", &spans, BetweenRecords::Estimated).unwrap();
+                let further = estimate(show(), within_std);
+                // too few records for a reference never raise anything
+                let reference = parameter.reference(n).ok();
+                let probability = reference.map_or(0.0, |known| probability_of_loss(&further, &known, 0.0));
+                exceeded += u32::from(probability >= 0.99);
+            }
+            let share = f64::from(exceeded) / f64::from(DRAWS);
+            assert!((least..0.012).contains(&share), "{n} records, within ±{within_std}: {share}");
+        }
+    }
+}
+
+#[test]
+fn interval_of_a_loss_ends_where_its_probability_is_0_975_and_0_025() {
+    for records in [vec![0.99, 1.01], vec![0.95, 1.0, 1.02], vec![0.9, 1.0, 1.1, 1.05, 0.97]] {
+        let records: Vec<RecordSummary> = records.into_iter().map(|mean| record(mean, 0.01)).collect();
+        let reference = estimated(&records).unwrap().reference("storey-1").unwrap();
+        for found in [estimate(0.7, 0.01), estimate(1.0, 0.05), estimate(0.1, 0.1)] {
+            let interval = loss_estimate(&found, &reference);
+            let at_low = probability_of_loss(&found, &reference, interval.low);
+            let at_high = probability_of_loss(&found, &reference, interval.high);
+            assert!((at_low - 0.975).abs() < 1e-9 && (at_high - 0.025).abs() < 1e-9, "{at_low} {at_high}");
+            assert!(interval.low < interval.loss && interval.loss < interval.high);
+        }
+    }
+}
+
+#[test]
+fn two_records_cannot_raise_what_ten_can() {
+    // Two records 0.03 apart: a bound of 0.99 lies 31.8·0.026 below; ten with the same b: 2.82·0.0222.
+    let two = estimated(&[record(0.985, 0.001), record(1.015, 0.001)]).unwrap().reference("storey-1").unwrap();
+    let ten: Vec<RecordSummary> = (0..10).map(|i| record(if i % 2 == 0 { 0.98 } else { 1.02 }, 0.001)).collect();
+    let ten = estimated(&ten).unwrap().reference("storey-1").unwrap();
+    let few = two.largest_credible(0.2, 0.99).unwrap();
+    assert!((few - 0.8 * (1.0 - 31.82 * 0.021_213 * 1.5_f64.sqrt())).abs() < 1e-3, "{few}");
+    let many = ten.largest_credible(0.2, 0.99).unwrap();
+    assert!((many - 0.8 * (1.0 - 2.821 * 0.021_082 * 1.1_f64.sqrt())).abs() < 1e-4, "{many}");
+    assert!(Reference::DESIGN.largest_credible(0.2, 0.99) == Some(0.8));
+}
+
+#[test]
+fn interval_for_the_structure_holds_the_scatter_between_records() {
+    // b = 0.1 with two degrees of freedom: 0.975 point of Student 4.303 (Abramowitz & Stegun 1964, table 26.10)
+    let baseline = estimated(&[record(0.9, 1e-3), record(1.0, 1e-3), record(1.1, 1e-3)]).unwrap();
+    let interval = baseline.for_structure("storey-1", &estimate(0.95, 1e-6)).unwrap();
+    assert!(
+        (interval.high - 0.95 - 0.4303).abs() < 1e-4 && (0.95 - interval.low - 0.4303).abs() < 1e-4,
+        "{interval:?}"
+    );
+    let known = stated(&[record(0.9, 0.03)], 0.04).unwrap();
+    let interval = known.for_structure("storey-1", &estimate(0.95, 0.03)).unwrap();
+    assert!((interval.high - 0.95 - 1.959_964 * 0.05).abs() < 1e-4, "{interval:?}");
+}
+
+#[test]
+fn file_reads_back_as_it_was_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("baseline.json");
+    for written in [
+        estimated(&[record(0.9, 0.02), record(0.95, 0.03)]).unwrap(),
+        estimated(&[record(0.9, 0.02)]).unwrap(),
+        stated(&[record(0.9, 0.02)], 0.04).unwrap(),
+    ] {
+        written.write(&path).unwrap();
+        assert_eq!(Baseline::read(&path).unwrap(), written);
+    }
+}
+
+fn version_1(records: usize, between_std: f64) -> String {
+    format!(
+        r#"{{"format":"spandrel.baseline.v1","structure":"tower","records":{records},"parameters":[
+        {{"parameter":"storey-1","mean":1.0,"std":0.05,"within_std":0.03,"between_std":{between_std}}}]}}"#
+    )
+}
+
+#[test]
+fn file_of_version_1_is_read_as_what_its_records_support() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("baseline.json");
+    std::fs::write(&path, version_1(3, 0.04)).unwrap();
+    let three = Baseline::read(&path).unwrap();
+    assert!(three.is_old_file());
+    let scatter = three.reference("storey-1").unwrap().scatter().unwrap();
+    assert_eq!((scatter.degrees_of_freedom, three.parameter("storey-1").unwrap().between_std), (2.0, Some(0.04)));
+    for (records, between_std) in [(1, 0.0), (2, 0.4)] {
+        std::fs::write(&path, version_1(records, between_std)).unwrap();
+        assert!(Baseline::read(&path).unwrap().reference("storey-1").is_none(), "{records} records");
+    }
+}
+
+#[test]
+fn file_of_another_version_is_refused_with_both_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("baseline.json");
+    std::fs::write(&path, r#"{"format":"spandrel.baseline.v9","structure":"a","records":1,"parameters":[]}"#).unwrap();
+    let message = Baseline::read(&path).unwrap_err().to_string();
+    assert!(message.contains("spandrel.baseline.v9") && message.contains("spandrel.baseline.v2"), "{message}");
+}
+
+#[test]
+fn parameter_too_uncertain_to_be_a_reference_is_named() {
+    let error = estimated(&[record(0.9, 0.5)]).unwrap_err();
+    assert!(error.to_string().contains("storey-1"), "{error}");
+}
+
+#[test]
+fn frames_of_unequal_length_are_no_record() {
+    assert!(RecordSummary::from_estimates([vec![(1.0, 0.1)], vec![]]).is_none());
+    assert!(RecordSummary::from_estimates([vec![(1.0, 0.1)], vec![(1.0, 0.1); 2]]).is_none());
+    assert!(RecordSummary::from_estimates(Vec::<Vec<(f64, f64)>>::new()).is_none());
+}

@@ -1,0 +1,86 @@
+//! What a decision says of itself: alerts, and revisions of those that stand.
+
+use super::{Decision, Stage};
+use crate::credibility::{loss_estimate, probability_of_loss};
+use crate::{Alert, LossEstimate, ParameterEstimate, wording::describe};
+use spandrel_bus::{AlertState, EstimateFlags};
+
+/// A raised alert is revised at most once in so long, ns of measurement time.
+const REVISED_EVERY_NS: i64 = 1_000_000_000;
+
+impl Decision {
+    pub(super) fn announce(&mut self, alerts: &mut Vec<Alert>) {
+        if let Some(alert) = self.alert(self.state()) {
+            self.last_alert = Some(alert.clone());
+            alerts.push(alert);
+        }
+    }
+
+    /// Says the loss of a raised alert again, where it is no longer the one last said.
+    pub(super) fn revise(&mut self, alerts: &mut Vec<Alert>) {
+        let (Some(last), Some((estimate, flags))) = (&self.last_alert, &self.last) else {
+            return;
+        };
+        let Stage::Watching { reference, .. } = &self.stage else {
+            return; // nothing is raised before the reference is known
+        };
+        let is_raised = matches!(last.state, AlertState::Raised | AlertState::Acknowledged);
+        let is_due = estimate.time_ns.saturating_sub(last.estimate.time_ns) >= REVISED_EVERY_NS;
+        if !is_raised || !is_due {
+            return;
+        }
+        let has_jumped = last.follows_jump && !flags.follows_jump;
+        let has_moved = last.loss.is_none_or(|told| disagree(&told, &loss_estimate(estimate, reference)));
+        if has_jumped || has_moved {
+            self.announce(alerts);
+        }
+    }
+
+    /// The alert that says `state` at the last estimate.
+    pub(super) fn alert(&self, state: AlertState) -> Option<Alert> {
+        let (estimate, flags) = self.told_estimate(state)?;
+        let reference = match &self.stage {
+            Stage::Learning { .. } => None,
+            Stage::Watching { reference, .. } => Some(*reference),
+        };
+        let mut alert = Alert {
+            rule: self.rule_number,
+            parameter: self.subject.parameter,
+            state,
+            estimate,
+            since_ns: self.since_ns(),
+            rule_loss: self.rule.loss(),
+            rule_credibility: self.rule.credibility(),
+            probability_of_loss: reference
+                .map_or(0.0, |reference| probability_of_loss(&estimate, &reference, self.rule.loss())),
+            reference,
+            loss: reference.map(|reference| loss_estimate(&estimate, &reference)),
+            acknowledgement: self.acknowledgement().cloned(),
+            why: String::new(),
+            fit: flags.fit,
+            fit_reasons: flags.fit_reasons,
+            follows_jump: flags.follows_jump,
+            undecided_because: self.support.undecided_because(),
+            revision: 0,
+        };
+        alert.revision =
+            self.last_alert.as_ref().filter(|last| alert.says_the_same(last)).map_or(0, |last| last.revision + 1);
+        alert.why = describe(&self.subject, &self.rule, &alert, self.last_alert.as_ref());
+        Some(alert)
+    }
+
+    /// The estimate that an alert in `state` is about: the last one, and of an alert that is not confirmed the last one that was.
+    fn told_estimate(&self, state: AlertState) -> Option<(ParameterEstimate, EstimateFlags)> {
+        let (estimate, flags) = self.last?;
+        let is_unsupported = state == AlertState::Unconfirmed && self.support.undecided_because().is_some();
+        let told = self.last_alert.as_ref().filter(|last| is_unsupported && last.since_ns == self.since_ns());
+        let told = told.map_or(estimate, |last| ParameterEstimate { time_ns: estimate.time_ns, ..last.estimate });
+        Some((told, flags))
+    }
+}
+
+/// Returns `true` if one of two losses lies outside the interval of the other.
+fn disagree(told: &LossEstimate, now: &LossEstimate) -> bool {
+    let holds = |interval: &LossEstimate, loss: f64| (interval.low..=interval.high).contains(&loss);
+    !holds(now, told.loss) || !holds(told, now.loss)
+}

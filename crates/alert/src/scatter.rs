@@ -1,0 +1,153 @@
+//! The sum of a normal variable and a Student variable: what is known of a difference when a part of its scatter was
+//! estimated from few records.
+//!
+//! Notation: X = s·Z + τ·T, with Z standard normal and T Student with ν degrees of freedom; Φ the standard normal distribution
+//! function.
+//!
+//! T = Z'/√w with w = χ²_ν/ν, so that X is normal with variance s² + τ²/w for a given w, and
+//!
+//! P(X ≤ x) = ∫ p(w)·Φ(x/√(s² + τ²/w)) dw.
+//!
+//! This is the distribution of Behrens and Fisher with one of its two variances known (R. A. Fisher, *The fiducial argument in
+//! statistical inference*, Ann. Eugenics 6 (1935), 391-398). The approximation of Welch and Satterthwaite, a Student variable
+//! of the same variance, was tried too: with two records its bound of 0.99 is exceeded by up to 4.7 % of sound records, while
+//! this distribution stays at or below 1 %.
+
+use std::f64::consts::SQRT_2;
+
+/// X = `normal_std`·Z + `student_scale`·T.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct NormalPlusStudent {
+    /// s
+    pub(crate) normal_std: f64,
+    /// τ
+    pub(crate) student_scale: f64,
+    /// ν, above 0
+    pub(crate) degrees_of_freedom: f64,
+}
+
+/// Nodes of the integral over ln w. The integrand is analytic, so that the rule of trapezoids converges exponentially: with 64
+/// nodes the error is below 1e-5 of either tail at one degree of freedom, and far smaller at more.
+const NODES: u32 = 64;
+
+/// The density at the ends of the integral is e^−37/2 (1e-8) of its peak.
+const LOG_CUT: f64 = 37.0;
+
+impl NormalPlusStudent {
+    /// Returns `true` if X scatters at all.
+    pub(crate) fn is_wide(&self) -> bool {
+        self.normal_std > 0.0 || self.student_scale > 0.0
+    }
+
+    /// P(X ≤ x).
+    ///
+    /// With u = ln w, p(u) ∝ exp(ν/2·(u − eᵘ)). The ends are where the exponent has fallen by [`LOG_CUT`]/2, or beyond: from
+    /// u − eᵘ + 1 ≥ −c it follows that −(c + √2c) ≤ u ≤ ln(1 + c + √2c).
+    pub(crate) fn cdf(&self, x: f64) -> f64 {
+        let half_nu = 0.5 * self.degrees_of_freedom;
+        let cut = LOG_CUT / self.degrees_of_freedom;
+        let reach = cut + (2.0 * cut).sqrt();
+        let (low, high) = (-reach, reach.ln_1p());
+        let step = (high - low) / f64::from(NODES - 1);
+        let (known, estimated) = (self.normal_std.powi(2), self.student_scale.powi(2));
+        let (mut sum, mut total) = (0.0, 0.0);
+        for node in 0..NODES {
+            let u = low + step * f64::from(node);
+            let w = u.exp();
+            let density = (half_nu * (u - w + 1.0)).exp(); //                                  p(u), to a factor
+            let std = (known + estimated / w).sqrt(); //                        √(s² + τ²/w)
+            sum += density * normal_cdf(x / std);
+            total += density;
+        }
+        sum / total
+    }
+
+    /// The x with P(X ≤ x) = `probability`, above 0 and below 1.
+    pub(crate) fn quantile(&self, probability: f64) -> f64 {
+        if !self.is_wide() {
+            return 0.0;
+        }
+        let scale = self.normal_std.hypot(self.student_scale);
+        let (mut low, mut high) = (-scale, scale);
+        while self.cdf(low) > probability && low.is_finite() {
+            low *= 2.0;
+        }
+        while self.cdf(high) < probability && high.is_finite() {
+            high *= 2.0;
+        }
+        bisect(low, high, |x| self.cdf(x) >= probability)
+    }
+}
+
+/// Returns where `is_above` becomes true between `low`, where it is false, and `high`, where it is true.
+pub(crate) fn bisect(mut low: f64, mut high: f64, is_above: impl Fn(f64) -> bool) -> f64 {
+    /// Halvings from any bracket of interest to the precision of a number.
+    const MOST_HALVINGS: usize = 100;
+    for _ in 0..MOST_HALVINGS {
+        let middle = 0.5 * (low + high);
+        if middle <= low || middle >= high {
+            break;
+        }
+        if is_above(middle) {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    0.5 * (low + high)
+}
+
+/// Φ(z) = erfc(−z/√2)/2, with full relative precision in the lower tail.
+pub(crate) fn normal_cdf(z: f64) -> f64 {
+    0.5 * libm::erfc(-z / SQRT_2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn student(degrees_of_freedom: f64) -> NormalPlusStudent {
+        NormalPlusStudent { normal_std: 0.0, student_scale: 1.0, degrees_of_freedom }
+    }
+
+    #[test]
+    fn without_a_normal_part_it_has_the_tabled_quantiles_of_student() {
+        // Abramowitz & Stegun (1964), table 26.10: one-sided points of 0.975 and 0.99.
+        for (nu, at_975, at_99) in [
+            (1.0, 12.706, 31.821),
+            (2.0, 4.303, 6.965),
+            (4.0, 2.776, 3.747),
+            (9.0, 2.262, 2.821),
+            (120.0, 1.980, 2.358),
+        ] {
+            assert!((student(nu).quantile(0.975) / at_975 - 1.0).abs() < 3e-4, "{nu}: {}", student(nu).quantile(0.975));
+            assert!((student(nu).quantile(0.99) / at_99 - 1.0).abs() < 3e-4, "{nu}: {}", student(nu).quantile(0.99));
+        }
+    }
+
+    #[test]
+    fn one_degree_of_freedom_is_the_distribution_of_cauchy() {
+        for x in [-200.0, -1.0, 0.0, 0.3, 5.0] {
+            let cauchy = 0.5 + f64::atan(x) / std::f64::consts::PI;
+            let found = student(1.0).cdf(x);
+            assert!((found - cauchy).abs() < 1e-5 * cauchy.min(1.0 - cauchy) + 1e-7, "{x}: {found} {cauchy}");
+        }
+    }
+
+    #[test]
+    fn without_scatter_and_with_many_degrees_of_freedom_it_is_normal() {
+        let sharp = NormalPlusStudent { normal_std: 2.0, student_scale: 0.0, degrees_of_freedom: 1.0 };
+        assert!((sharp.cdf(2.0) - normal_cdf(1.0)).abs() < 1e-12);
+        let known = NormalPlusStudent { normal_std: 0.6, student_scale: 0.8, degrees_of_freedom: 1e7 };
+        assert!((known.cdf(2.0) - normal_cdf(2.0)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn sum_with_one_degree_of_freedom_is_the_profile_of_voigt() {
+        // The profile of Voigt at its centre: Re w(i/√2)/√(2π), with w(i/√2) = e^(1/2)·erfc(1/√2) = 0.523 157
+        // (Abramowitz & Stegun 1964, 7.1.3 and table 7.1).
+        let sum = NormalPlusStudent { normal_std: 1.0, student_scale: 1.0, degrees_of_freedom: 1.0 };
+        let density = (sum.cdf(1e-3) - sum.cdf(-1e-3)) / 2e-3;
+        assert!((density - 0.523_157 / (2.0 * std::f64::consts::PI).sqrt()).abs() < 1e-5, "{density}");
+    }
+}

@@ -1,0 +1,252 @@
+//! Whether the data support a decision, and how often they did.
+//!
+//! Notation as in [`credibility`](crate::credibility): r mean of the reference, L loss of the rule.
+
+use serde::{Deserialize, Serialize};
+use spandrel_bus::UndecidedBecause;
+
+use crate::{ParameterEstimate, Reference, Rule, probability_of_loss};
+
+/// A change between decided and undecided counts once it has lasted so long, ns of measurement time.
+const PERSISTS_NS: i64 = 1_000_000_000;
+/// Until a parameter counts as learnt again, its standard deviation is taken so many times as large: it does not flap.
+const LEARNT_AGAIN: f64 = 1.1;
+
+/// Whether alerts of a parameter are decided.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Support {
+    because: Option<UndecidedBecause>,
+    /// Since when the frames have said something else, ns.
+    otherwise_since_ns: Option<i64>,
+}
+
+impl Support {
+    /// Why nothing is decided; `None` while alerts are decided.
+    pub(crate) fn undecided_because(&self) -> Option<UndecidedBecause> {
+        self.because
+    }
+
+    /// Returns `true` if the last frame could be decided on.
+    pub(crate) fn decides(&self) -> bool {
+        self.because.is_none() && self.otherwise_since_ns.is_none()
+    }
+
+    /// Takes what keeps the frame at `time_ns` from being decided on.
+    pub(crate) fn take(&mut self, found: Option<UndecidedBecause>, time_ns: i64) {
+        if found == self.because {
+            self.otherwise_since_ns = None;
+            return;
+        }
+        // a record that is replayed begins at an earlier time
+        let since_ns = self.otherwise_since_ns.filter(|since_ns| *since_ns <= time_ns).unwrap_or(time_ns);
+        let is_lasting = time_ns.saturating_sub(since_ns) >= PERSISTS_NS;
+        *self = match is_lasting {
+            true => Self { because: found, otherwise_since_ns: None },
+            false => Self { otherwise_since_ns: Some(since_ns), ..*self },
+        };
+    }
+
+    /// Returns `true` if a loss would show: one of twice the rule's would be raised, or the rule's own is credible.
+    ///
+    /// The estimate of a loss of 2L has the mean (1 − 2L)·r, so that the probability of more than L is Φ(L·r/√(s² +
+    /// (1 − L)²·s_r²)); beyond a loss of one half nothing at all is left, and (1 − L)·r stands in the place of L·r. A rule
+    /// about a loss of 0 or 1 has no such measure. A credible loss has shown, however uncertain the estimate.
+    pub(crate) fn shows_losses(&self, estimate: &ParameterEstimate, reference: &Reference, rule: &Rule) -> bool {
+        let loss = rule.loss();
+        if loss <= 0.0 || loss >= 1.0 {
+            return true;
+        }
+        let is_credible = |estimate: &ParameterEstimate| {
+            let probability = probability_of_loss(estimate, reference, loss);
+            probability >= rule.credibility()
+        };
+        let slack = if self.because == Some(UndecidedBecause::NothingLearnt) { LEARNT_AGAIN } else { 1.0 };
+        let kept = (1.0 - 2.0 * loss).max(0.0);
+        let of_twice_the_loss =
+            ParameterEstimate { mean: kept * reference.mean(), std: slack * estimate.std, ..*estimate };
+        is_credible(&of_twice_the_loss) || is_credible(estimate)
+    }
+}
+
+/// Returns `true` if an estimate rests on one of the bounds (ratios to nominal) of its parameter.
+///
+/// The filter puts an estimate that would leave the bounds on the nearest one, and the next steps move it by a part of its
+/// standard deviation: one that is nearer than that has not left its bound.
+pub(crate) fn rests_on_bound(estimate: &ParameterEstimate, bounds: (f64, f64)) -> bool {
+    estimate.mean - bounds.0 <= estimate.std || bounds.1 - estimate.mean <= estimate.std
+}
+
+/// A sudden change that the filter follows.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Jump {
+    since_ns: Option<i64>,
+    /// Since when the filter has followed it no longer, ns.
+    over_since_ns: Option<i64>,
+}
+
+/// For so long after a jump began, no new alert is raised, ns of measurement time.
+///
+/// After a loss of 60 % in one storey of five, the estimates of sound storeys were off for up to 6 s.
+const HELD_NS: i64 = 8_000_000_000;
+
+impl Jump {
+    /// Takes whether the filter follows a jump at a frame. One that begins again within a second is the same.
+    pub(crate) fn take(&mut self, follows: bool, time_ns: i64) {
+        let within = |span_ns: i64, since_ns: i64| (0..span_ns).contains(&time_ns.saturating_sub(since_ns));
+        if follows {
+            let is_same = self.over_since_ns.is_none_or(|over_ns| within(PERSISTS_NS, over_ns));
+            let since_ns = self.since_ns.filter(|since_ns| is_same && *since_ns <= time_ns).unwrap_or(time_ns);
+            *self = Self { since_ns: Some(since_ns), over_since_ns: None };
+        } else if let Some(since_ns) = self.since_ns {
+            let over_ns = *self.over_since_ns.get_or_insert(time_ns);
+            if !within(PERSISTS_NS, over_ns) && !within(HELD_NS, since_ns) {
+                *self = Self::default();
+            }
+        }
+    }
+
+    /// Returns `true` while new alerts are held because of the jump.
+    pub(crate) fn holds(&self, time_ns: i64) -> bool {
+        let is_new = |since_ns: i64| time_ns.saturating_sub(since_ns) < HELD_NS;
+        self.since_ns.is_some_and(is_new)
+    }
+}
+
+/// Frames since the reference was known, and those that were not decided on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DecidedFrames {
+    frames: u64,
+    undecided: [u64; UndecidedBecause::ALL.len()],
+}
+
+impl DecidedFrames {
+    /// Counts a frame.
+    pub(crate) fn count(&mut self, undecided_because: Option<UndecidedBecause>) {
+        self.frames += 1;
+        if let Some(count) = undecided_because.and_then(|because| self.undecided.get_mut(because as usize)) {
+            *count += 1;
+        }
+    }
+
+    /// The frames of both.
+    #[must_use]
+    pub fn plus(mut self, other: &Self) -> Self {
+        self.frames += other.frames;
+        self.undecided.iter_mut().zip(other.undecided).for_each(|(count, others)| *count += others);
+        self
+    }
+
+    /// Number of frames.
+    #[must_use]
+    pub fn frames(&self) -> u64 {
+        self.frames
+    }
+
+    /// Number of frames that were not decided on, by reason; reasons without a frame are left out.
+    pub fn undecided(&self) -> impl Iterator<Item = (UndecidedBecause, u64)> {
+        UndecidedBecause::ALL.into_iter().zip(self.undecided).filter(|(_, count)| *count > 0)
+    }
+
+    /// Share of the frames that were decided on, 0 to 1; `None` without a frame.
+    #[must_use]
+    pub fn share(&self) -> Option<f64> {
+        let undecided: u64 = self.undecided.iter().sum();
+        (self.frames > 0).then(|| 1.0 - undecided as f64 / self.frames as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const S: i64 = 1_000_000_000;
+
+    fn estimate(mean: f64, std: f64) -> ParameterEstimate {
+        ParameterEstimate { time_ns: 0, mean, std }
+    }
+
+    #[test]
+    fn change_counts_once_it_has_lasted_for_a_second() {
+        let mut support = Support::default();
+        let contradicted = Some(UndecidedBecause::FitContradicted);
+        support.take(contradicted, 0);
+        assert!(!support.decides() && support.undecided_because().is_none());
+        support.take(None, S / 2);
+        assert!(support.decides(), "half a second is no change");
+        support.take(contradicted, S);
+        support.take(contradicted, 2 * S - 1);
+        assert_eq!(support.undecided_because(), None);
+        support.take(contradicted, 2 * S);
+        assert_eq!(support.undecided_because(), contradicted);
+        support.take(None, 3 * S);
+        assert_eq!((support.undecided_because(), support.decides()), (contradicted, false));
+        support.take(None, 4 * S);
+        assert!(support.decides());
+    }
+
+    #[test]
+    fn loss_shows_where_twice_the_rule_would_be_raised() {
+        // 5 % with 95 %: Φ⁻¹(0.95) = 1.644854 (Abramowitz & Stegun, table 26.5), so s = 0.05/1.644854 = 0.030398.
+        let rule = Rule::new(0.05, 0.95, 0.5, 10.0).unwrap();
+        let shows = |support: &Support, std: f64| support.shows_losses(&estimate(1.0, std), &Reference::DESIGN, &rule);
+        let decided = Support::default();
+        assert!(shows(&decided, 0.0303) && !shows(&decided, 0.0305));
+        let undecided = Support { because: Some(UndecidedBecause::NothingLearnt), otherwise_since_ns: None };
+        assert!(
+            !shows(&undecided, 0.0303) && shows(&undecided, 0.0303 / 1.1),
+            "what was not learnt has to be learnt well"
+        );
+        // (1 − L)·s_r = 0.95·0.03 = 0.0285; with s = 0.0105 the hypotenuse is 0.03037, with 0.0110 it is 0.03055.
+        let learnt = Reference::new(1.0, 0.03).unwrap();
+        let shows = |std: f64| decided.shows_losses(&estimate(1.0, std), &learnt, &rule);
+        assert!(shows(0.0105) && !shows(0.0110));
+    }
+
+    #[test]
+    fn large_loss_shows_although_the_estimate_is_uncertain() {
+        let rule = Rule::new(0.05, 0.95, 0.5, 10.0).unwrap();
+        assert!(Support::default().shows_losses(&estimate(0.4, 0.1), &Reference::DESIGN, &rule));
+    }
+
+    #[test]
+    fn rule_about_more_than_half_asks_whether_the_loss_of_everything_would_show() {
+        // 70 % with 95 %: s = 0.3/1.644854 = 0.18239.
+        let rule = Rule::new(0.7, 0.95, 0.5, 10.0).unwrap();
+        let shows = |std: f64| Support::default().shows_losses(&estimate(1.0, std), &Reference::DESIGN, &rule);
+        assert!(shows(0.182) && !shows(0.183));
+        let nothing = Rule::new(0.0, 0.95, 0.5, 10.0).unwrap();
+        assert!(Support::default().shows_losses(&estimate(1.0, 0.3), &Reference::DESIGN, &nothing));
+    }
+
+    #[test]
+    fn estimate_within_a_deviation_of_its_bound_rests_on_it() {
+        let bounds = (0.1, 2.0);
+        assert!(rests_on_bound(&estimate(0.1, 0.0), bounds) && rests_on_bound(&estimate(1.995, 0.01), bounds));
+        assert!(!rests_on_bound(&estimate(0.12, 0.01), bounds));
+    }
+
+    #[test]
+    fn jump_holds_alerts_for_eight_seconds_however_often_it_begins() {
+        let mut jump = Jump::default();
+        let held: Vec<bool> = (0..120)
+            .map(|tenth| {
+                jump.take(tenth % 5 != 4, tenth * S / 10);
+                jump.holds(tenth * S / 10)
+            })
+            .collect();
+        let last = held.iter().rposition(|holds| *holds);
+        assert_eq!((held[0], last), (true, Some(79)));
+    }
+
+    #[test]
+    fn shares_are_those_of_the_frames() {
+        let mut decided = DecidedFrames::default();
+        assert_eq!(decided.share(), None);
+        for frame in 0..8 {
+            decided.count((frame < 2).then_some(UndecidedBecause::NothingLearnt));
+        }
+        assert_eq!((decided.frames(), decided.share()), (8, Some(0.75)));
+        let both = decided.plus(&decided);
+        assert_eq!(both.undecided().collect::<Vec<_>>(), [(UndecidedBecause::NothingLearnt, 4)]);
+    }
+}

@@ -1,0 +1,92 @@
+//! The verdict on the fit: at the end, and how it was on the way.
+
+use serde::Serialize;
+use spandrel_bus::{EstimateFlags, FitReasons, FitVerdict, fit_in_words};
+use std::collections::BTreeMap;
+
+/// The verdict on the fit at the end of a run.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FitSummary {
+    /// The verdict after the last frame.
+    pub verdict: FitVerdict,
+    /// Why it is not supported.
+    pub reasons: FitReasons,
+    /// Share of the frames with each verdict; verdicts without a frame are left out.
+    pub shares: BTreeMap<FitVerdict, f64>,
+}
+
+/// Collects verdicts frame by frame.
+#[derive(Debug, Clone, Default)]
+pub(super) struct FitCollector {
+    last: Option<(FitVerdict, FitReasons)>,
+    frames: BTreeMap<FitVerdict, u64>,
+}
+
+impl FitCollector {
+    pub(super) fn take(&mut self, flags: &EstimateFlags) {
+        if let Some(verdict) = flags.fit {
+            self.last = Some((verdict, flags.fit_reasons));
+            *self.frames.entry(verdict).or_default() += 1;
+        }
+    }
+
+    pub(super) fn finish(&self) -> Option<FitSummary> {
+        let (verdict, reasons) = self.last?;
+        let all: u64 = self.frames.values().sum();
+        let shares = self.frames.iter().map(|(verdict, frames)| (*verdict, *frames as f64 / all as f64));
+        Some(FitSummary { verdict, reasons, shares: shares.collect() })
+    }
+}
+
+impl FitSummary {
+    /// Says that the estimates have no meaning, where the data contradict the model at the end.
+    pub(super) fn warning(&self) -> Option<String> {
+        let is_contradicted = self.verdict == FitVerdict::Contradicted;
+        is_contradicted.then(|| format!("{}; the estimates have no meaning", fit_in_words(self.verdict, self.reasons)))
+    }
+
+    /// The verdict with its reasons, and the share of each: `doubtful at the end (…); supported 90 % of the time`.
+    pub(super) fn words(&self) -> String {
+        let shares = self.shares.iter().map(|(verdict, share)| format!("{} {}", verdict.as_str(), percent(*share)));
+        let shares: Vec<String> = shares.collect();
+        let words = fit_in_words(self.verdict, self.reasons);
+        format!("{} at the end ({words}); {} of the time", self.verdict.as_str(), shares.join(", "))
+    }
+}
+
+/// A share in per cent with one decimal, without one where it is whole.
+pub(super) fn percent(share: f64) -> String {
+    let text = format!("{:.1}", 100.0 * share);
+    format!("{} %", text.strip_suffix(".0").unwrap_or(&text))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use spandrel_bus::FitReason;
+
+    #[test]
+    fn verdict_is_that_of_the_end_with_the_share_of_each() {
+        let mut collector = FitCollector::default();
+        assert_eq!(collector.finish(), None);
+        let flags = |verdict, reasons: &[FitReason]| EstimateFlags {
+            fit: Some(verdict),
+            fit_reasons: reasons.iter().copied().collect(),
+            ..EstimateFlags::working()
+        };
+        (0..3).for_each(|_| collector.take(&flags(FitVerdict::Supported, &[])));
+        collector.take(&flags(FitVerdict::Contradicted, &[FitReason::ExcessNoise]));
+        let summary = collector.finish().unwrap();
+        assert_eq!(
+            summary.words(),
+            "contradicted at the end (the data contradict the model: the noise found is much larger than the noise \
+             stated); supported 75 %, contradicted 25 % of the time"
+        );
+        assert!(summary.warning().is_some_and(|warning| warning.ends_with("; the estimates have no meaning")));
+        let json = serde_json::to_string(&summary).unwrap();
+        assert_eq!(
+            json,
+            r#"{"verdict":"contradicted","reasons":["excess-noise"],"shares":{"supported":0.75,"contradicted":0.25}}"#
+        );
+    }
+}

@@ -1,0 +1,104 @@
+//! What the promises of a check rest on: levels, colours and damping that nobody measured, and what no check can know.
+
+use super::finding::{Finding, Shift};
+use crate::parameter::Scales;
+use crate::structure::Structure;
+use serde::Serialize;
+use std::fmt;
+
+/// A stated level or damping may be wrong by this factor, either way.
+const WRONG_BY: f64 = 2.0;
+
+/// What a check cannot know of a structure; its promises hold if the file is right about it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Assumption {
+    /// No parameter scales some of the masses.
+    Masses,
+    /// Some damping is neither identified nor stated to be known.
+    Damping,
+    /// Parts are joined as the model says, and move linearly.
+    Connections,
+    /// The ground does not give way.
+    Soil,
+    /// Sensors are where the file has them, and point where it says.
+    SensorPositions,
+    /// Stiffness does not change with temperature.
+    Temperature,
+}
+
+impl fmt::Display for Assumption {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Masses => {
+                "masses: what is heavier by 10 % than the file says reads as 10 % more stiffness, a learnt reference removes that"
+            }
+            Self::Damping => "damping: it is fixed, and rarely known to a factor of two",
+            Self::Connections => "connections: joints, walls and fittings carry as the model says, and nothing yields or rattles",
+            Self::Soil => "soil: the foundation neither rocks nor slides",
+            Self::SensorPositions => "sensors: each is where the file has it, with its sign, its unit and its axis",
+            Self::Temperature => "temperature: a daily cycle of stiffness, often some per cent, reads as damage and repair",
+        })
+    }
+}
+
+impl Structure {
+    /// Returns what no check can know of this structure.
+    pub(super) fn assumptions(&self) -> Vec<Assumption> {
+        let scaled = |parameter: &crate::Parameter| match &parameter.scales {
+            Scales::Mass(dofs) => dofs.len(),
+            _ => 0,
+        };
+        let masses = self.parameters.iter().map(scaled).sum::<usize>() < self.system.len();
+        let damping = self.damping_is_assumed();
+        let rest = [Assumption::Connections, Assumption::Soil, Assumption::SensorPositions, Assumption::Temperature];
+        let first = [masses.then_some(Assumption::Masses), damping.then_some(Assumption::Damping)];
+        first.into_iter().flatten().chain(rest).collect()
+    }
+
+    /// Returns what the estimates rest on, with figures.
+    pub(super) fn assumption_findings(&self) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        if self.parameters.is_empty() {
+            return findings;
+        }
+        let unmeasured: Vec<&str> = (0..self.noise_levels.len())
+            .filter(|level| self.is_unknown(*level))
+            .map(|level| self.noise_levels[level].name())
+            .collect();
+        let errors = self.errors_by_unmeasured_excitation();
+        for (parameter, error) in self.parameters.iter().zip(&errors) {
+            if self.spoils(parameter, *error) {
+                findings.push(Finding::RestsOnExcitation {
+                    parameter: parameter.name.clone(),
+                    excitations: unmeasured.join(", "),
+                    error: *error,
+                });
+            }
+        }
+        for level in self.assumed_levels() {
+            let shifts = self.both(|factor| self.shifts_by_level(level, factor));
+            findings.extend(shifts.map(|shifts| Finding::LevelAssumed {
+                level: self.noise_levels[level].name.clone(),
+                factor: WRONG_BY,
+                shifts,
+            }));
+        }
+        if self.damping_is_assumed() {
+            let shifts = self.both(|factor| self.shifts_by_damping(factor));
+            findings.extend(shifts.map(|shifts| Finding::DampingAssumed { factor: WRONG_BY, shifts }));
+        }
+        findings
+    }
+
+    /// Returns the shift of each parameter if the truth is the stated value over and times the factor.
+    fn both(&self, shifts: impl Fn(f64) -> Option<Vec<f64>>) -> Option<Vec<Shift>> {
+        let [under, over] = [shifts(1.0 / WRONG_BY)?, shifts(WRONG_BY)?];
+        let shift = |((parameter, under), over): ((&crate::Parameter, &f64), &f64)| Shift {
+            parameter: parameter.name.clone(),
+            if_less: *under,
+            if_more: *over,
+        };
+        Some(self.parameters.iter().zip(&under).zip(&over).map(shift).collect())
+    }
+}

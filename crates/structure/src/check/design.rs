@@ -1,0 +1,148 @@
+//! Judges the design itself: periods, masses, stiffnesses, levels and noises that no structure has.
+
+use super::finding::Finding;
+use crate::excitation::Action;
+use crate::linear_system::Mass;
+use crate::spectral_information::SpectralModel;
+use crate::structure::Structure;
+use spandrel_filter::InputHold;
+use std::f64::consts::PI;
+
+/// Fundamental period of a building over its number of storeys (s): measured ones have 0.05 to 0.2 s, after which the first
+/// codes of practice estimated 0.1 s. The limits are two to five times as wide.
+const PERIOD_PER_STOREY_S: (f64, f64) = (0.02, 1.0);
+/// What is off by a unit is off by this: kg for t, N/m for kN/m.
+const UNIT: f64 = 1000.0;
+/// Storeys of one building differ by less than this.
+const UNEQUAL: f64 = 100.0;
+/// A lighter floor (kg) is that of a bench model.
+const LIGHT_KG: f64 = 1000.0;
+/// Standard deviations of the acceleration of a ground (m/s²): from what the best sensors see to twice gravity.
+const GROUND: (f64, f64) = (1e-6, 20.0);
+/// Share of the motion, weighted by the noise of the sensors, that counts as the band that is recorded.
+const BAND: f64 = 0.95;
+/// A hold that changes the excitation by this share shows in stiffness and damping.
+const HOLD_ERROR: f64 = 0.05;
+
+impl Structure {
+    /// Returns what is implausible about the design.
+    pub(super) fn design_findings(&self) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        findings.extend(self.implausible_period());
+        findings.extend(self.unequal_storeys());
+        findings.extend(self.implausible_levels());
+        let model = SpectralModel::new(self, &self.prior_means(), &self.expected_variances());
+        if let Some((signal, band)) = model.motion(BAND) {
+            findings.extend(self.weak_signals(signal.as_slice()));
+            findings.extend(self.hold_that_matters(band / (2.0 * PI)));
+        }
+        findings
+    }
+
+    fn is_shear_building(&self) -> bool {
+        !self.system.storeys.is_empty() && self.system.hysteresis.is_none()
+    }
+
+    fn implausible_period(&self) -> Option<Finding> {
+        let (storeys, period_s) = (self.system.len(), self.fundamental_period_s());
+        let (low, high) = PERIOD_PER_STOREY_S;
+        let plausible = |period_s: f64| (low..=high).contains(&(period_s / storeys as f64));
+        if !self.is_shear_building() || plausible(period_s) {
+            return None;
+        }
+        // a period goes with the root of mass over stiffness
+        let cause = if plausible(period_s * UNIT.sqrt()) {
+            Some("masses in tonnes would do that: they are in kg here")
+        } else if plausible(period_s / UNIT.sqrt()) {
+            Some("stiffnesses in kN/m would do that: they are in N/m here")
+        } else {
+            None
+        };
+        let expected_s = (low * storeys as f64, high * storeys as f64);
+        Some(Finding::ImplausiblePeriod { storeys, period_s, expected_s, cause: cause.map(str::to_owned) })
+    }
+
+    fn unequal_storeys(&self) -> Vec<Finding> {
+        let Mass::Lumped(masses) = &self.system.mass else { return Vec::new() };
+        if self.system.storeys.is_empty() {
+            return Vec::new();
+        }
+        let stiffness = self.system.nominal_stiffness();
+        let above = |storey: usize| if storey < masses.len() { -stiffness[(storey - 1, storey)] } else { 0.0 };
+        let springs: Vec<f64> = (1..=masses.len()).map(|s| stiffness[(s - 1, s - 1)] - above(s)).collect();
+        let mut findings = Vec::new();
+        for (what, values) in [("mass", masses.as_slice()), ("stiffness", &springs)] {
+            for (lower, pair) in values.windows(2).enumerate() {
+                let ratio = (pair[1] / pair[0]).max(pair[0] / pair[1]);
+                if ratio >= UNEQUAL {
+                    findings.push(Finding::UnequalStoreys { what: what.to_owned(), lower: lower + 1, ratio });
+                }
+            }
+        }
+        let heaviest_kg = masses.max();
+        if heaviest_kg < LIGHT_KG {
+            findings.push(Finding::LightFloors { heaviest_kg });
+        }
+        findings
+    }
+
+    fn implausible_levels(&self) -> Vec<Finding> {
+        let grounds = self.excitations.iter().filter(|excitation| matches!(excitation.action, Action::Ground { .. }));
+        let (low, high) = GROUND;
+        let finding = |excitation: &crate::Excitation| Finding::ImplausibleLevel {
+            excitation: excitation.name.clone(),
+            std: excitation.std,
+        };
+        grounds.filter(|excitation| !(low..=high).contains(&excitation.std)).map(finding).collect()
+    }
+
+    /// Compares the noise of each channel with the motion (`signal`, standard deviations) that it is to show.
+    fn weak_signals(&self, signal: &[f64]) -> Vec<Finding> {
+        let responses = self.observations().zip(signal).enumerate().filter_map(|(row, (channel, signal))| {
+            let noise = self.expected_noise_std(row);
+            (noise > *signal).then(|| Finding::NoiseAboveSignal {
+                channel: channel.name().to_owned(),
+                noise,
+                signal: *signal,
+                unit: channel.quantity().unit().to_owned(),
+            })
+        });
+        let measured = self.excitations.iter().filter(|excitation| excitation.channel().is_some());
+        let measured = measured.filter(|excitation| excitation.unknown_std() > excitation.std).map(|excitation| {
+            let channel = self.channels().nth(excitation.channel().unwrap_or_default());
+            Finding::NoiseAboveSignal {
+                channel: channel.map_or_else(String::new, |channel| channel.name().to_owned()),
+                noise: excitation.unknown_std(),
+                signal: excitation.std,
+                unit: excitation.unit().to_owned(),
+            }
+        });
+        responses.chain(measured).collect()
+    }
+
+    fn expected_noise_std(&self, row: usize) -> f64 {
+        use crate::noise_level::NoiseSource;
+        let of_row = |source: &NoiseSource| matches!(source, NoiseSource::Sensors(rows) if rows.contains(&row));
+        let level = self.noise_levels.iter().position(|level| of_row(level.source()));
+        level.map_or(0.0, |level| self.expected_level_std(level))
+    }
+
+    /// Tells what the hold does to a measured excitation at the upper end of the recorded band (Hz).
+    ///
+    /// Held over a step Δt it is late by half of one and weaker by sinc(*f* Δt); running straight it is not late, and weaker
+    /// by sinc²(*f* Δt).
+    fn hold_that_matters(&self, band_hz: f64) -> Option<Finding> {
+        self.excitations.iter().find(|excitation| excitation.channel().is_some())?;
+        let frequency_hz = self.band_limit.map_or(band_hz, |limit| band_hz.min(limit.frequency_hz));
+        let half_turn = PI * frequency_hz * self.step_s();
+        let sinc = if half_turn > 0.0 { half_turn.sin() / half_turn } else { 1.0 };
+        let (gain, delay_s, error) = match self.plan.input_hold {
+            InputHold::Zero => {
+                let error = (1.0 - sinc * half_turn.cos()).hypot(sinc * half_turn.sin());
+                (sinc, 0.5 * self.step_s(), error)
+            }
+            InputHold::First => (sinc * sinc, 0.0, 1.0 - sinc * sinc),
+        };
+        (error > HOLD_ERROR).then_some(Finding::HoldMatters { frequency_hz, loss: 1.0 - gain, delay_s, error })
+    }
+}

@@ -1,0 +1,174 @@
+//! How the sensors of a structure answer its excitation, frequency by frequency, and what that owes to each parameter.
+//!
+//! `(s I − A_u) U = B_u` and `G = H U + D` at `s = iω`, with the matrices of [`LinearForm`]; a derivative by a parameter is
+//! `∂G = ∂H U + H (s I − A_u)⁻¹ (∂A_u U + ∂B_u) + ∂D`. With `u = [x, v]` and `A_u = [0, A_xv; A_vx, A_vv]` one factor of
+//! `Z = s I − A_vv − A_vx A_xv / s` (N_d × N_d) solves for both parts. Time runs on: how an excitation is held over a step,
+//! and modes beyond half the sampling rate, are left out.
+
+use crate::linear_form::LinearForm;
+use crate::structure::Structure;
+use nalgebra::{Complex, DMatrix, Dyn, LU};
+use std::f64::consts::PI;
+
+/// A complex matrix.
+pub(crate) type Complexes = DMatrix<Complex<f64>>;
+
+/// Half the distance of two parameters for a difference; the matrices are linear in all of them but the masses.
+const DIFFERENCE: f64 = 1e-4;
+
+/// Frequencies spread evenly up to half the sampling rate.
+const EVEN: usize = 128;
+
+/// Distances from a resonance, in halves of its width: dense where it turns, wide on its flanks.
+const DISTANCES: [f64; 9] = [0.0, 0.3, 0.7, 1.2, 2.0, 3.5, 6.5, 13.0, 26.0];
+
+/// Least half-width of a resonance, as a share of its frequency.
+const NARROWEST: f64 = 1e-4;
+
+/// The lowest modes have their resonances resolved; what moves faster tells little.
+const RESOLVED: usize = 40;
+
+/// One point of an integral over all frequencies.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Frequency {
+    /// `ω` (rad/s).
+    pub(crate) omega: f64,
+    /// `Δω Δt / π`: the weights add up to 1.
+    pub(crate) weight: f64,
+}
+
+/// A structure with known parameters, and how its matrices change with each of them.
+#[derive(Debug, Clone)]
+pub(crate) struct Linearised {
+    at: LinearForm,
+    /// `A_xv`, `A_vx`, their product `A_vx A_xv`, and `A_vv` (N_d × N_d).
+    rate: DMatrix<f64>,
+    restoring: DMatrix<f64>,
+    spring: DMatrix<f64>,
+    damping: Complexes,
+    /// `∂A_u`, `∂B_u`, `∂H` and `∂D` by each parameter.
+    slopes: Vec<LinearForm>,
+}
+
+/// What the sensors show of an excitation `e^{iωt}`.
+#[derive(Debug, Clone)]
+pub(crate) struct Response {
+    /// `G` (N_0 × N_f).
+    pub(crate) transfer: Complexes,
+    /// `∂G` by each parameter.
+    pub(crate) slopes: Vec<Complexes>,
+}
+
+impl Linearised {
+    /// Linearises `structure` at `theta` (ratios to nominal).
+    pub(crate) fn new(structure: &Structure, theta: &[f64]) -> Self {
+        let mut model = structure.model();
+        let slope = |parameter: usize, model: &mut _| {
+            let mut moved = |by: f64| {
+                let mut theta = theta.to_vec();
+                theta[parameter] += by;
+                LinearForm::new(model, &theta)
+            };
+            difference(moved(DIFFERENCE), &moved(-DIFFERENCE))
+        };
+        let slopes = (0..theta.len()).map(|parameter| slope(parameter, &mut model)).collect();
+        let at = LinearForm::new(&mut model, theta);
+        let free = at.system.nrows() / 2;
+        let block = |row, column| at.system.view((row, column), (free, free)).into_owned();
+        let (rate, restoring, damping) = (block(0, free), block(free, 0), complex(&block(free, free)));
+        Self { spring: &restoring * &rate, rate, restoring, damping, slopes, at }
+    }
+
+    /// Returns `G` and its derivatives at `omega` (rad/s); `None` at the resonance of a mode that nothing damps.
+    pub(crate) fn response(&self, omega: f64) -> Option<Response> {
+        let solver = Solver::new(self, omega)?;
+        let motion = solver.solve(&complex(&self.at.input))?;
+        let transfer = product(&self.at.observation, &motion) + complex(&self.at.direct);
+        let slope = |slope: &LinearForm| {
+            let pushed = product(&slope.system, &motion) + complex(&slope.input);
+            let moved = solver.solve(&pushed)?;
+            let seen = product(&slope.observation, &motion) + product(&self.at.observation, &moved);
+            Some(seen + complex(&slope.direct))
+        };
+        let slopes = self.slopes.iter().map(slope).collect::<Option<_>>()?;
+        Some(Response { transfer, slopes })
+    }
+}
+
+/// Returns the difference of two forms over their distance in a parameter.
+fn difference(up: LinearForm, down: &LinearForm) -> LinearForm {
+    let by = |up: DMatrix<f64>, down: &DMatrix<f64>| (up - down) / (2.0 * DIFFERENCE);
+    LinearForm {
+        system: by(up.system, &down.system),
+        input: by(up.input, &down.input),
+        observation: by(up.observation, &down.observation),
+        direct: by(up.direct, &down.direct),
+    }
+}
+
+fn complex(matrix: &DMatrix<f64>) -> Complexes {
+    matrix.map(|entry| Complex::new(entry, 0.0))
+}
+
+/// Returns the product of a real and a complex matrix, by two real products.
+fn product(real: &DMatrix<f64>, x: &Complexes) -> Complexes {
+    let [re, im] = [real * x.map(|entry| entry.re), real * x.map(|entry| entry.im)];
+    re.zip_map(&im, Complex::new)
+}
+
+/// `(s I − A_u)⁻¹` at one frequency.
+struct Solver<'l> {
+    s: Complex<f64>,
+    of: &'l Linearised,
+    /// Of `Z`.
+    factor: LU<Complex<f64>, Dyn, Dyn>,
+}
+
+impl<'l> Solver<'l> {
+    fn new(linearised: &'l Linearised, omega: f64) -> Option<Self> {
+        let s = Complex::new(0.0, omega);
+        let mut z = linearised.spring.zip_map(&linearised.damping, |spring, damping| -s.inv() * spring - damping);
+        (0..z.nrows()).for_each(|row| z[(row, row)] += s);
+        let factor = z.lu();
+        factor.is_invertible().then_some(Self { s, of: linearised, factor })
+    }
+
+    /// Returns `(s I − A_u)⁻¹ X` for columns `X` (2 N_d).
+    fn solve(&self, columns: &Complexes) -> Option<Complexes> {
+        let (free, width) = (columns.nrows() / 2, columns.ncols());
+        let upper = columns.rows(0, free) * self.s.inv();
+        let v = self.factor.solve(&(columns.rows(free, free) + product(&self.of.restoring, &upper)))?;
+        let x = upper + product(&self.of.rate, &v) * self.s.inv();
+        let mut out = Complexes::zeros(2 * free, width);
+        out.rows_mut(0, free).copy_from(&x);
+        out.rows_mut(free, free).copy_from(&v);
+        Some(out)
+    }
+}
+
+/// Chooses the frequencies up to half the sampling rate at which the resonances of all `forms` are resolved.
+pub(crate) fn frequencies(forms: &[&Linearised], step_s: f64) -> Vec<Frequency> {
+    let highest = PI / step_s;
+    let mut omegas: Vec<f64> = (0..EVEN).map(|index| (index as f64 + 0.5) / EVEN as f64 * highest).collect();
+    for form in forms {
+        let mut poles: Vec<Complex<f64>> = form.at.system.complex_eigenvalues().iter().copied().collect();
+        poles.retain(|pole| pole.im > 0.0 && pole.im < highest);
+        poles.sort_by(|a, b| a.im.total_cmp(&b.im));
+        for pole in poles.iter().take(RESOLVED) {
+            let half_width = pole.re.abs().max(NARROWEST * pole.im);
+            let sides = DISTANCES.iter().flat_map(|distance| [-distance * half_width, distance * half_width]);
+            omegas.extend(sides.map(|side| pole.im + side).filter(|omega| *omega > 0.0 && *omega < highest));
+        }
+    }
+    omegas.sort_by(f64::total_cmp);
+    omegas.dedup();
+    // each stands for the band up to the middle between it and its neighbours
+    let middle = |index: usize| match (index.checked_sub(1).and_then(|before| omegas.get(before)), omegas.get(index)) {
+        (Some(before), Some(at)) => 0.5 * (before + at),
+        (None, _) => 0.0,
+        (Some(_), None) => highest,
+    };
+    let weigh =
+        |index: usize| Frequency { omega: omegas[index], weight: (middle(index + 1) - middle(index)) / highest };
+    (0..omegas.len()).map(weigh).collect()
+}

@@ -1,0 +1,123 @@
+//! Where the estimates settle when the structure is not the one of the file.
+//!
+//! The filter goes where the expected slope of its log-likelihood vanishes (`spectral_information`). Newton's method with the
+//! information in the place of the curvature finds that point. Adapted noise levels go along: they take up what the model
+//! cannot explain. The prior counts as it does in a filter with fading memory.
+
+use crate::noise_level::NoiseSource;
+use crate::spectral_information::{Direction, SpectralModel, Sums};
+use crate::structure::Structure;
+
+/// Steps of the search; a larger model gets one, which is its linear answer.
+const STEPS: usize = 15;
+const LARGE: usize = 40;
+
+/// Longest step in a parameter (ratio to nominal) and in the logarithm of a variance: one that is longer leaves the range in
+/// which information is a curvature.
+const LONGEST_PARAMETER_STEP: f64 = 0.25;
+const LONGEST_LEVEL_STEP: f64 = 1.5;
+
+/// A step is not shortened below this share: it is too short then to explain the data better by more than rounding.
+const SHORTEST_SHARE: f64 = 0.02;
+
+/// A step shorter than this (ratio to nominal) changes no sentence.
+const SETTLED: f64 = 1e-3;
+
+impl Structure {
+    /// Returns the shift of each parameter (ratio to nominal) if all damping is `factor` times that of the file.
+    pub(crate) fn shifts_by_damping(&self, factor: f64) -> Option<Vec<f64>> {
+        let mut other = self.clone();
+        other.system.damping = self.system.damping.times(factor);
+        let truth = SpectralModel::new(&other, &self.prior_means(), &self.expected_variances());
+        self.shifts(&truth)
+    }
+
+    /// Returns the shift of each parameter (ratio to nominal) if a noise level (from 0) has `factor` times the standard
+    /// deviation of the file.
+    pub(crate) fn shifts_by_level(&self, level: usize, factor: f64) -> Option<Vec<f64>> {
+        let mut variances = self.expected_variances();
+        variances[level] *= factor * factor;
+        let truth = SpectralModel::new(self, &self.prior_means(), &variances);
+        self.shifts(&truth)
+    }
+
+    /// Returns the prior mean of each parameter (ratio to nominal).
+    pub(crate) fn prior_means(&self) -> Vec<f64> {
+        self.parameters.iter().map(crate::Parameter::mean).collect()
+    }
+
+    fn shifts(&self, truth: &SpectralModel<'_>) -> Option<Vec<f64>> {
+        let (means, memory_frames) = (self.prior_means(), self.memory_frames()?);
+        let adapted: Vec<usize> =
+            (0..self.noise_levels.len()).filter(|level| self.noise_levels[*level].adapted).collect();
+        let levels = adapted.iter().map(|level| Direction::Level(*level));
+        let directions: Vec<Direction> = (0..means.len()).map(Direction::Parameter).chain(levels).collect();
+        let (mut theta, mut variances) = (means.clone(), self.expected_variances());
+        let mut sums = SpectralModel::new(self, &theta, &variances).sums(Some(truth), &directions)?;
+        for _ in 0..if self.system.len() > LARGE { 1 } else { STEPS } {
+            let Sums { mut information, mut slope, misfit } = sums.clone();
+            for (index, parameter) in self.parameters.iter().enumerate() {
+                let precision = 1.0 / (memory_frames * parameter.std().powi(2));
+                information[(index, index)] += precision;
+                slope[index] += precision * (means[index] - theta[index]);
+            }
+            let step = information.cholesky()?.solve(&slope);
+            // the whole step is shortened, so that it keeps its direction
+            let longest = step.rows(0, means.len()).amax();
+            let largest = step.rows(means.len(), adapted.len()).amax();
+            let mut share = (LONGEST_PARAMETER_STEP / longest).min(LONGEST_LEVEL_STEP / largest).min(1.0);
+            loop {
+                let moved = |index: usize| theta[index] + share * step[index];
+                let within = |(index, parameter): (usize, &crate::Parameter)| {
+                    let (low, high) = parameter.bounds();
+                    moved(index).clamp(low, high)
+                };
+                let next: Vec<f64> = self.parameters.iter().enumerate().map(within).collect();
+                let mut levels = variances.clone();
+                for (entry, level) in adapted.iter().enumerate() {
+                    levels[*level] *= (share * step[means.len() + entry]).exp();
+                }
+                let at_next = SpectralModel::new(self, &next, &levels).sums(Some(truth), &directions)?;
+                if at_next.misfit <= misfit || share < SHORTEST_SHARE {
+                    (theta, variances, sums) = (next, levels, at_next);
+                    break;
+                }
+                share *= 0.5;
+            }
+            if share * longest < SETTLED {
+                break;
+            }
+        }
+        Some(theta.iter().zip(&means).map(|(theta, mean)| theta - mean).collect())
+    }
+
+    /// Tells whether some damping is neither identified nor stated to be known.
+    pub(crate) fn damping_is_assumed(&self) -> bool {
+        use crate::linear_system::Damping;
+        use crate::parameter::Scales;
+        let scaled =
+            |wanted: &dyn Fn(&Scales) -> bool| self.parameters.iter().any(|parameter| wanted(&parameter.scales));
+        let identified = match &self.system.damping {
+            Damping::Rayleigh { alpha_per_s, beta_s } => {
+                let whole = scaled(&|scales| *scales == Scales::Damping);
+                let alpha = *alpha_per_s == 0.0 || scaled(&|scales| *scales == Scales::DampingAlpha);
+                let beta = *beta_s == 0.0 || scaled(&|scales| *scales == Scales::DampingBeta);
+                whole || (alpha && beta)
+            }
+            Damping::Dashpots(parts) => (0..parts.len())
+                .all(|part| scaled(&|scales| matches!(scales, Scales::Dashpots(of) if of.contains(&part)))),
+            Damping::Matrix(_) => scaled(&|scales| matches!(scales, Scales::Dashpots(_))),
+        };
+        !identified && !self.damping_is_known && !self.parameters.is_empty()
+    }
+
+    /// Returns the excitations (levels, from 0) that nobody measures, whose level the file states without saying that it is
+    /// known.
+    pub(crate) fn assumed_levels(&self) -> Vec<usize> {
+        let assumed = |level: &usize| match self.noise_levels[*level].source() {
+            NoiseSource::Excitation(_) => self.is_unknown(*level) && !self.noise_levels[*level].adapted,
+            NoiseSource::Sensors(_) => false,
+        };
+        (0..self.noise_levels.len()).filter(assumed).collect()
+    }
+}

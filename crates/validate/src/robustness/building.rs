@@ -1,0 +1,164 @@
+//! The building that the robustness benchmark measures: independent of the models that identify it.
+//!
+//! A shear building with its own masses, damping and, where asked, one yielding storey (Bouc-Wen), integrated by the
+//! fourth-order method of Runge and Kutta at a tenth of the sampling interval.
+
+use super::ground::Ground;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+
+/// Integration steps per sample.
+const SUBSTEPS: usize = 10;
+
+/// A storey whose spring yields, as a Bouc-Wen spring with a tenth of its stiffness after yielding and exponent 2.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Yielding {
+    /// From 0.
+    pub(super) storey: usize,
+    /// Drift (m) at which it yields.
+    pub(super) yield_drift_m: f64,
+}
+
+/// A sudden loss of stiffness.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Loss {
+    /// From 0.
+    pub(super) storey: usize,
+    pub(super) at_s: f64,
+    /// Share of the stiffness.
+    pub(super) share: f64,
+}
+
+/// The true building, its motion and its sensors.
+#[derive(Debug, Clone)]
+pub(super) struct Building {
+    pub(super) masses_kg: Vec<f64>,
+    pub(super) stiffnesses_n_per_m: Vec<f64>,
+    /// Rayleigh damping `α M + β K`.
+    pub(super) alpha_per_s: f64,
+    pub(super) beta_s: f64,
+    /// Whether `K` of the damping remains that of the sound building after a loss.
+    pub(super) damping_stays: bool,
+    pub(super) yielding: Option<Yielding>,
+    pub(super) loss: Option<Loss>,
+    pub(super) ground: Ground,
+    /// Standard deviation of the noise of the ground channel and of each floor channel (m/s²).
+    pub(super) ground_noise: f64,
+    pub(super) floor_noise: f64,
+    pub(super) rate_hz: f64,
+}
+
+/// Share of the elastic stiffness that remains after yielding.
+const HARDENING: f64 = 0.1;
+
+/// One frame: the measured ground acceleration, then that of each floor (m/s²).
+pub(super) type Samples = Vec<f64>;
+
+impl Building {
+    /// Returns the samples of `duration_s`; the stream of the noise does not depend on the motion.
+    pub(super) fn measure(&self, duration_s: f64, seed: u64) -> Vec<Samples> {
+        let samples = (duration_s * self.rate_hz).round() as usize;
+        let random = |stream| {
+            let mut random = ChaCha8Rng::seed_from_u64(seed);
+            random.set_stream(stream);
+            random
+        };
+        let (mut noise, mut motion) = (random(1), random(0));
+        let ground = self.ground.draw(samples, SUBSTEPS, self.rate_hz, &mut motion);
+        let storeys = self.masses_kg.len();
+        let step_s = 1.0 / (self.rate_hz * SUBSTEPS as f64);
+        let mut motion = Motion { building: self, state: vec![0.0; 3 * storeys], kept: vec![1.0; storeys] };
+        let mut frames = Vec::with_capacity(samples);
+        for sample in 0..samples {
+            let time_s = sample as f64 / self.rate_hz;
+            if let Some(loss) = self.loss.filter(|loss| time_s >= loss.at_s) {
+                motion.kept[loss.storey] = 1.0 - loss.share;
+            }
+            let first = sample * SUBSTEPS;
+            let mut values = vec![ground[first] + self.ground_noise * normal(&mut noise)];
+            let accelerations = motion.absolute_accelerations();
+            values.extend(accelerations.into_iter().map(|value| value + self.floor_noise * normal(&mut noise)));
+            frames.push(values);
+            for substep in 0..SUBSTEPS {
+                motion.advance(step_s, ground[first + substep], ground[first + substep + 1]);
+            }
+        }
+        frames
+    }
+}
+
+fn normal(random: &mut ChaCha8Rng) -> f64 {
+    StandardNormal.sample(random)
+}
+
+/// Displacements and velocities relative to the ground, then the hysteretic drifts of the storeys.
+struct Motion<'b> {
+    building: &'b Building,
+    state: Vec<f64>,
+    /// share of the stiffness that each storey still has
+    kept: Vec<f64>,
+}
+
+impl Motion<'_> {
+    fn absolute_accelerations(&self) -> Vec<f64> {
+        let storeys = self.kept.len();
+        let mut rates = vec![0.0; 3 * storeys];
+        self.rates_to(&self.state, 0.0, &mut rates);
+        rates[storeys..2 * storeys].to_vec()
+    }
+
+    /// Writes the time derivative of `state` under the ground acceleration `ground` (m/s²).
+    fn rates_to(&self, state: &[f64], ground: f64, rates: &mut [f64]) {
+        let building = self.building;
+        let storeys = self.kept.len();
+        let drift = |of: &[f64], storey: usize| of[storey] - if storey == 0 { 0.0 } else { of[storey - 1] };
+        let (x, rest) = state.split_at(storeys);
+        let (v, z) = rest.split_at(storeys);
+        for storey in 0..storeys {
+            let elastic = drift(x, storey);
+            let rate = drift(v, storey);
+            let stiffness = self.kept[storey] * building.stiffnesses_n_per_m[storey];
+            let yields = building.yielding.filter(|yielding| yielding.storey == storey);
+            let spring = match yields {
+                Some(_) => HARDENING * elastic + (1.0 - HARDENING) * z[storey],
+                None => elastic,
+            };
+            rates[2 * storeys + storey] = yields.map_or(0.0, |yielding| {
+                let ratio = z[storey] / yielding.yield_drift_m;
+                rate * (1.0 - ratio * ratio * 0.5 * (1.0 + (rate * z[storey]).signum()))
+            });
+            let damped = if building.damping_stays { building.stiffnesses_n_per_m[storey] } else { stiffness };
+            let force = stiffness * spring + building.beta_s * damped * rate;
+            rates[storeys + storey] = -force;
+            if storey > 0 {
+                rates[storeys + storey - 1] += force;
+            }
+        }
+        for storey in 0..storeys {
+            let damping = building.alpha_per_s * v[storey];
+            let absolute = rates[storeys + storey] / building.masses_kg[storey] - damping;
+            rates[storeys + storey] = absolute - ground;
+            rates[storey] = v[storey];
+        }
+    }
+
+    fn advance(&mut self, step_s: f64, from: f64, to: f64) {
+        let len = self.state.len();
+        let (mut sum, mut slope, mut point) = (vec![0.0; len], vec![0.0; len], self.state.clone());
+        for (stage, weight) in [(0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)] {
+            if stage > 0.0 {
+                for ((point, state), slope) in point.iter_mut().zip(&self.state).zip(&slope) {
+                    *point = state + stage * step_s * slope;
+                }
+            }
+            self.rates_to(&point, from + stage * (to - from), &mut slope);
+            for (sum, slope) in sum.iter_mut().zip(&slope) {
+                *sum += weight * slope;
+            }
+        }
+        for (state, sum) in self.state.iter_mut().zip(&sum) {
+            *state += step_s / 6.0 * sum;
+        }
+    }
+}

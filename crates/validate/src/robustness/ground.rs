@@ -1,0 +1,111 @@
+//! Ground motions of the robustness benchmark.
+
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use std::f64::consts::{PI, TAU};
+
+/// What the ground acceleration looks like between and over the samples.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Spectrum {
+    /// Independent at every sample, and straight in between.
+    WhiteStraight,
+    /// Independent at every sample, and held until the next: what the filter assumes of an unmeasured motion.
+    WhiteHeld,
+    /// Smooth: white noise behind a fourth-order low-pass of this frequency (Hz).
+    Smooth(f64),
+    /// Kanai-Tajimi: white noise through a soil layer of 2.4 Hz and a damping ratio of 0.6.
+    KanaiTajimi,
+}
+
+/// How the level changes over time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Envelope {
+    /// It does not.
+    Constant,
+    /// It swells and falls tenfold, from 1/√10 to √10 of its mean (geometric), once in this time (s).
+    Tenfold(f64),
+}
+
+/// The soil layer of the Kanai-Tajimi spectrum: natural frequency (Hz) and damping ratio of firm soil.
+const SOIL: (f64, f64) = (2.4, 0.6);
+
+/// A ground acceleration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Ground {
+    pub(super) spectrum: Spectrum,
+    pub(super) envelope: Envelope,
+    /// Standard deviation (m/s²).
+    pub(super) std: f64,
+}
+
+impl Ground {
+    /// Returns the accelerations (m/s²) at `substeps` points per sample, for `samples` samples and the end of the last.
+    pub(super) fn draw(&self, samples: usize, substeps: usize, rate_hz: f64, random: &mut ChaCha8Rng) -> Vec<f64> {
+        let fine_s = 1.0 / (rate_hz * substeps as f64);
+        let count = samples * substeps + 1;
+        let mut motion = match self.spectrum {
+            Spectrum::WhiteStraight => {
+                let white: Vec<f64> = (0..samples + 2).map(|_| StandardNormal.sample(random)).collect();
+                (0..count)
+                    .map(|k| {
+                        let (sample, part) = (k / substeps, (k % substeps) as f64 / substeps as f64);
+                        white[sample] + part * (white[sample + 1] - white[sample])
+                    })
+                    .collect()
+            }
+            Spectrum::WhiteHeld => {
+                let white: Vec<f64> = (0..=samples).map(|_| StandardNormal.sample(random)).collect();
+                (0..count).map(|k| white[k / substeps]).collect()
+            }
+            Spectrum::Smooth(cut_off_hz) => {
+                let white = (0..count).map(|_| StandardNormal.sample(random)).collect();
+                // the two second-order sections of a Butterworth low-pass of order four
+                let once = filtered(white, cut_off_hz, (PI / 8.0).cos(), 0.0, fine_s);
+                normalised(filtered(once, cut_off_hz, (3.0 * PI / 8.0).cos(), 0.0, fine_s))
+            }
+            Spectrum::KanaiTajimi => {
+                let white = (0..count).map(|_| StandardNormal.sample(random)).collect();
+                let (frequency_hz, ratio) = SOIL;
+                normalised(filtered(white, frequency_hz, ratio, 1.0, fine_s))
+            }
+        };
+        for (k, value) in motion.iter_mut().enumerate() {
+            *value *= self.std * self.envelope.factor(k as f64 * fine_s);
+        }
+        motion
+    }
+}
+
+impl Envelope {
+    fn factor(self, time_s: f64) -> f64 {
+        match self {
+            Self::Constant => 1.0,
+            Self::Tenfold(period_s) => 10f64.powf(0.5 * (TAU * time_s / period_s).sin()),
+        }
+    }
+}
+
+/// Returns the response `ω² x + velocity · 2ζω ẋ` of `ẍ + 2ζω ẋ + ω² x = input`, by the trapezoidal rule.
+fn filtered(input: Vec<f64>, frequency_hz: f64, ratio: f64, velocity: f64, step_s: f64) -> Vec<f64> {
+    // bilinear transform with its frequency set right at the natural frequency
+    let k = 1.0 / (PI * frequency_hz * step_s).tan();
+    let (a0, a1, a2) = (k * k + 2.0 * ratio * k + 1.0, 2.0 - 2.0 * k * k, k * k - 2.0 * ratio * k + 1.0);
+    let (b0, b1, b2) = (1.0 + velocity * 2.0 * ratio * k, 2.0, 1.0 - velocity * 2.0 * ratio * k);
+    let (mut x1, mut x2, mut y1, mut y2) = (0.0, 0.0, 0.0, 0.0);
+    input
+        .into_iter()
+        .map(|x| {
+            let y = (b0 * x + b1 * x1 + b2 * x2 - a1 * y1 - a2 * y2) / a0;
+            (x2, x1, y2, y1) = (x1, x, y1, y);
+            y
+        })
+        .collect()
+}
+
+/// Scales to a standard deviation of 1.
+fn normalised(mut values: Vec<f64>) -> Vec<f64> {
+    let mean_square = values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64;
+    let scale = mean_square.sqrt().recip();
+    values.iter_mut().for_each(|value| *value *= scale);
+    values
+}

@@ -1,0 +1,260 @@
+//! A highway overpass: the earthquakes of four decades, weak and strong.
+//!
+//! Source of the records: docs/highway-bridge.md. In weak shaking the bridge is sound. In strong shaking it really softens, and
+//! is stiff again within a minute or two.
+
+use super::batch_fit::Replay;
+use super::course::{Course, Point, Recorded};
+use super::pairs::{Level, differences, median, share_up_to};
+use super::shake_table::summarise;
+use super::{RecordsError, Row, replaced};
+use spandrel_alert::{Baseline, BetweenRecords};
+use spandrel_structure::Structure;
+use std::path::Path;
+
+const FILE: &str = include_str!("bridge.toml");
+
+/// The bridge moves while the deck exceeds this (m/s²): three times the stated noise.
+const MOTION: f64 = 0.06;
+
+/// Events whose peak at the base of the bent is below this (m/s²) are weak.
+const WEAK: f64 = 1.0;
+
+/// What `spandrel baseline` leaves out at the start of each record (s): the recorder starts half a minute before the motion.
+const SKIP_S: f64 = 30.0;
+
+/// Loss that is simulated.
+const LOSS: f64 = 0.4;
+
+/// Archives with the four channels, in order of time. Three more of the folder lack the base of the bent.
+const EVENTS: [&str; 18] = [
+    "capemendocino_21nov1986_ce89324p",
+    "capemendocinoaftershock_21nov1986_ce89324p",
+    "petrolia_25apr1992_ce89324p",
+    "petroliaaftershock1_26apr1992_ce89324p",
+    "RioDell_14Sep2012_71842255_ce89324p",
+    "bayview_11oct2013_72086051_ce89324p",
+    "riodell_19oct2014_72330211_ce89324p",
+    "ferndale_28jan2015_72387946_ce89324p",
+    "petrolia_05dec2016_72733405_ce89324p",
+    "ferndaleoffshore_08dec2016_us20007z6r_ce89324p",
+    "nc73666231_ce89324p",
+    "nc73667866_ce89324p",
+    "nc73821036_ce89324p",
+    "nc73821636_ce89324p",
+    "nc73827571_ce89324p",
+    "nc73925281_ce89324p",
+    "nc73943821_ce89324p",
+    "nc73943846_ce89324p",
+];
+
+/// The first event that may have changed the bridge for good: the baseline is learnt from weak events before it.
+const FIRST_STRONG: &str = "nc73821036_ce89324p";
+
+/// The parameter of the file.
+const PARAMETER: &str = "supports";
+
+/// One event with what the file makes of it.
+struct Event {
+    record: Recorded,
+    is_weak: bool,
+    /// Before the strong earthquake of 2022.
+    is_early: bool,
+    /// Without a baseline.
+    course: Course,
+    /// Batch fit to the whole record: the ratio, and the share of the variance that it leaves.
+    batch: (f64, f64),
+}
+
+/// The rows of the bridge.
+pub(super) fn rows(data: &Path) -> Result<Vec<Row>, RecordsError> {
+    let folder = data.join("painter-street-bridge");
+    if !folder.is_dir() {
+        return Ok(vec![Row::skipped("highway bridge", "", format!("no records in {}", folder.display()))]);
+    }
+    let structure = Structure::parse(FILE, Path::new("bridge.toml"))?;
+    let screened =
+        Structure::parse(&replaced(FILE, &[("[filter]", "[outliers]\n\n[filter]")])?, Path::new("bridge.toml"))?;
+    let events = events(&structure, &folder)?;
+    let baselines = (0..events.len()).map(|own| baseline(&structure, &events, own)).collect::<Result<Vec<_>, _>>()?;
+    Ok(vec![
+        pairs("highway bridge: pairs of weak events, at the end", &events, &baselines, Course::end),
+        pairs("highway bridge: pairs of weak events, last moment in motion", &events, &baselines, Course::last_moving),
+        batch(&events),
+        sound(&structure, &events, &baselines)?,
+        strong(&structure, &events, &baselines)?,
+        damaged("", &structure, &events, &baselines)?,
+        damaged(" with [outliers]", &screened, &events, &baselines)?,
+    ])
+}
+
+fn events(structure: &Structure, folder: &Path) -> Result<Vec<Event>, RecordsError> {
+    let ground = structure.excitation_channels().first().copied().flatten().unwrap_or(0);
+    let strong_from = EVENTS.iter().position(|name| *name == FIRST_STRONG).unwrap_or(EVENTS.len());
+    let replay = Replay::new(structure);
+    let mut events = Vec::new();
+    for (number, name) in EVENTS.iter().enumerate() {
+        let record = Recorded::read(structure, &folder.join(format!("{name}.zip")))?;
+        let course = Course::run(structure, &record.rows, None, MOTION)?;
+        let batch = replay.fit(&record.rows, 0);
+        let is_weak = record.peak(ground) < WEAK;
+        events.push(Event { is_weak, is_early: number < strong_from, course, batch, record });
+    }
+    Ok(events)
+}
+
+/// The baseline for an event: all other weak events before the strong earthquake of 2022.
+fn baseline(structure: &Structure, events: &[Event], own: usize) -> Result<Baseline, RecordsError> {
+    let names: Vec<&str> = structure.parameters().iter().map(|parameter| parameter.name()).collect();
+    let used = events.iter().enumerate().filter(|(index, event)| *index != own && event.is_weak && event.is_early);
+    let records = used.map(|(_, event)| {
+        let nothing = || RecordsError::NothingLearnt { record: event.record.name.clone() };
+        event.course.summary(SKIP_S).ok_or_else(nothing)
+    });
+    let records = records.collect::<Result<Vec<_>, _>>()?;
+    Ok(Baseline::from_records(structure.name(), &names, &records, BetweenRecords::Estimated)?)
+}
+
+/// Pairs of weak events, with the scatter between records from the other events.
+fn pairs(condition: &str, events: &[Event], baselines: &[Baseline], at: impl Fn(&Course) -> Option<&Point>) -> Row {
+    let mut row = Row::new(condition, "at least 90 % of the pairs within two deviations for this structure");
+    let (mut within, mut levels) = (Vec::new(), Vec::new());
+    for (event, baseline) in events.iter().zip(baselines).filter(|(event, _)| event.is_weak) {
+        let Some(point) = at(&event.course) else { continue };
+        let level = Level::within(point, 0);
+        let wide = level.for_structure(baseline, PARAMETER);
+        row.seen +=
+            &format!("{}: {:.3}±{:.4}, for the structure ±{:.3}; ", event.record.name, level.mean, level.std, wide.std);
+        within.push(level);
+        levels.push(wide);
+    }
+    let (alone, found) = (differences(&within), differences(&levels));
+    row.seen += &format!(
+        "within the records {:.0} % within two deviations, median of |z| {:.1}",
+        100.0 * share_up_to(2.0, &alone).unwrap_or(f64::NAN),
+        median(&alone)
+    );
+    row.runs = levels.len();
+    row.coverage = share_up_to(2.0, &found);
+    row.passed = row.coverage.map(|share| share >= 0.9);
+    row
+}
+
+/// The estimate at the last moment in motion against the batch fit.
+fn batch(events: &[Event]) -> Row {
+    let mut row = Row::new("highway bridge: weak events against a batch fit, last moment in motion", "");
+    let mut found = Vec::new();
+    for event in events.iter().filter(|event| event.is_weak) {
+        let Some(point) = event.course.last_moving() else { continue };
+        let (ratio, left) = event.batch;
+        found.push((point.mean[0] - ratio).abs() / point.std[0]);
+        row.seen += &format!("{}: batch {ratio:.3} leaves {left:.2}, found {:.3}; ", event.record.name, point.mean[0]);
+    }
+    row.runs = found.len();
+    row.coverage = share_up_to(2.0, &found);
+    row
+}
+
+/// Weak events against the baseline of the others.
+fn sound(structure: &Structure, events: &[Event], baselines: &[Baseline]) -> Result<Row, RecordsError> {
+    let required = "no alert; a decision in at least 70 % of the motion";
+    let mut row = Row::new("highway bridge: weak events against the others", required);
+    let mut courses = Vec::new();
+    for (event, baseline) in events.iter().zip(baselines).filter(|(event, _)| event.is_weak) {
+        let course = Course::run(structure, &event.record.rows, Some(baseline), MOTION)?;
+        row.seen += &told(event, &course);
+        courses.push(course);
+    }
+    summarise(&mut row, &courses);
+    row.false_alerts = Some(courses.iter().filter(|course| course.raised().next().is_some()).count());
+    row.passed = Some(row.false_alerts == Some(0) && row.decided_share >= Some(0.7));
+    Ok(row)
+}
+
+/// Strong events: what is raised must be cleared where the coda shows the stiffness of before.
+fn strong(structure: &Structure, events: &[Event], baselines: &[Baseline]) -> Result<Row, RecordsError> {
+    let required = "no alert that stands at the end of a record that recovers";
+    let mut row = Row::new("highway bridge: strong events", required);
+    let (mut courses, mut lasting) = (Vec::new(), 0);
+    let replay = Replay::new(structure);
+    for (event, baseline) in events.iter().zip(baselines).filter(|(event, _)| !event.is_weak) {
+        let course = Course::run(structure, &event.record.rows, Some(baseline), MOTION)?;
+        let (ratio, left) = replay.fit(&event.record.rows, coda(&course));
+        row.seen += &format!("{}coda {ratio:.2} leaves {left:.2}; ", told(event, &course));
+        lasting += usize::from(course.standing > 0 && ratio > RECOVERED);
+        courses.push(course);
+    }
+    summarise(&mut row, &courses);
+    row.false_alerts = Some(lasting);
+    row.passed = Some(lasting == 0);
+    Ok(row)
+}
+
+/// A batch fit of the coda above this ratio says that the bridge has recovered.
+const RECOVERED: f64 = 0.85;
+
+/// Length of the coda (s): the end of the motion.
+const CODA_S: f64 = 15.0;
+
+/// Number of the first frame of the coda.
+fn coda(course: &Course) -> usize {
+    let end_s = course.points.iter().rev().find(|point| point.moves).map_or(0.0, |point| point.time_s);
+    course.points.iter().position(|point| point.time_s >= end_s - CODA_S).unwrap_or(0)
+}
+
+/// Weak events of a bridge whose supports have lost 40 %, with what the model does not explain of the real record.
+fn damaged(what: &str, structure: &Structure, events: &[Event], baselines: &[Baseline]) -> Result<Row, RecordsError> {
+    let mut row = Row::new(
+        format!("highway bridge: simulated loss of 40 % with the residual of each weak event{what}"),
+        "raised in every weak event; the interval at the raise holds 40 %",
+    );
+    let replay = Replay::new(structure);
+    let (mut courses, mut held) = (Vec::new(), 0);
+    for (event, baseline) in events.iter().zip(baselines).filter(|(event, _)| event.is_weak) {
+        let sound = baseline.parameter(PARAMETER).map_or(1.0, |parameter| parameter.mean);
+        let rows = with_loss(&replay, structure, event, sound);
+        let course = Course::run(structure, &rows, Some(baseline), MOTION)?;
+        let interval = course.raised().next().and_then(|(_, alert)| alert.loss);
+        held += usize::from(interval.is_some_and(|loss| (loss.low..=loss.high).contains(&LOSS)));
+        row.seen += &told(event, &course);
+        courses.push(course);
+    }
+    summarise(&mut row, &courses);
+    let raised = courses.iter().filter(|course| course.raised().next().is_some()).count();
+    row.seen += &format!("raised {raised} of {}", courses.len());
+    row.coverage = Some(held as f64 / raised.max(1) as f64);
+    row.passed = Some(raised == courses.len());
+    Ok(row)
+}
+
+/// What the model does not explain of an event, and with it the response of the model at 60 % of the sound value.
+///
+/// The residual is the record less the response at its own batch fit. So the loss against the sound value is 40 % in each
+/// event, and the event adds only what the model has wrong.
+fn with_loss(replay: &Replay<'_>, structure: &Structure, event: &Event, sound: f64) -> Vec<spandrel_sensor::Row> {
+    let parameters = structure.parameters().len();
+    let own = replay.response(&event.record.rows, &vec![event.batch.0; parameters]);
+    let soft = replay.response(&event.record.rows, &vec![sound * (1.0 - LOSS); parameters]);
+    let mut rows = event.record.rows.clone();
+    for ((row, own), soft) in rows.iter_mut().zip(&own).zip(&soft) {
+        for ((channel, own), soft) in structure.observation_channels().iter().zip(own.iter()).zip(soft.iter()) {
+            row.values[*channel] += soft - own;
+        }
+    }
+    rows
+}
+
+/// An event in words: the estimates, and what was raised and cleared when.
+fn told(event: &Event, course: &Course) -> String {
+    let level = |point: Option<&Point>| point.map_or("-".to_owned(), |p| format!("{:.3}±{:.4}", p.mean[0], p.std[0]));
+    let alerts: Vec<String> = course
+        .alerts
+        .iter()
+        .map(|(time_s, alert)| {
+            let loss = alert.loss.map_or(f64::NAN, |loss| loss.loss);
+            format!("{:?} {time_s:.1} s loss {loss:.2}", alert.state).to_lowercase()
+        })
+        .collect();
+    let (moving, end) = (level(course.last_moving()), level(course.end()));
+    format!("{}: batch {:.3} moving {moving} end {end} [{}]; ", event.record.name, event.batch.0, alerts.join(", "))
+}

@@ -1,0 +1,260 @@
+//! One record through the cores of the services, in the order and with the numbers of `spandrel estimate`.
+
+use super::RecordsError;
+use spandrel_alert::{Alert, Baseline, RecordSummary, ReferenceRule, Watch};
+use spandrel_bus::{AlertState, EstimateBlock, FitVerdict, FrameBlock, Phase};
+use spandrel_identify::{Identification, Input, Output};
+use spandrel_ingest::{Alignment, Layout};
+use spandrel_sensor::{Clocks, Cutter, NodePlan, Row, open_record, recorded_rows};
+use spandrel_structure::Structure;
+use std::path::Path;
+
+/// Samples of a block of `spandrel estimate`.
+const BLOCK_SAMPLES: u64 = 256;
+
+/// Estimates that are decided on at once. The cuts change no alert; the state of the decision is read after each.
+const DECIDED_AT_ONCE: usize = 10;
+
+/// How long (s) the structure counts as moving after its last large sample.
+const STILL_MOVING_S: f64 = 1.0;
+
+/// A record as the structure file reads it.
+#[derive(Debug, Clone)]
+pub(super) struct Recorded {
+    pub(super) name: String,
+    pub(super) rows: Vec<Row>,
+}
+
+impl Recorded {
+    /// Reads a record with the structure file's columns, units and rate.
+    pub(super) fn read(structure: &Structure, path: &Path) -> Result<Self, RecordsError> {
+        let name = path.file_stem().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let rows = recorded_rows(open_record(structure, path)?, 0).collect::<Result<Vec<_>, _>>()?;
+        Ok(Self { name, rows })
+    }
+
+    /// Largest absolute value of a channel (SI).
+    pub(super) fn peak(&self, channel: usize) -> f64 {
+        self.rows.iter().filter_map(|row| row.values.get(channel)).fold(0.0, |peak, value| peak.max(value.abs()))
+    }
+}
+
+/// What is known after one frame.
+#[derive(Debug, Clone)]
+pub(super) struct Point {
+    /// Since the first frame (s).
+    pub(super) time_s: f64,
+    /// Ratios to nominal.
+    pub(super) mean: Vec<f64>,
+    pub(super) std: Vec<f64>,
+    /// `None` where nobody judged the fit.
+    pub(super) verdict: Option<FitVerdict>,
+    /// The motion exceeded the threshold within the last second.
+    pub(super) moves: bool,
+    /// The noise levels are trained: the estimate may be used.
+    pub(super) works: bool,
+    /// A rule has decided on each parameter that it watches.
+    pub(super) is_decided: bool,
+}
+
+/// The estimates and alerts of one record.
+#[derive(Debug, Clone)]
+pub(super) struct Course {
+    pub(super) points: Vec<Point>,
+    /// Each change that a person is told of: raised, acknowledged or cleared, with its time since the first frame (s).
+    pub(super) alerts: Vec<(f64, Alert)>,
+    /// Alerts that still stand at the end.
+    pub(super) standing: usize,
+}
+
+impl Course {
+    /// Identifies the rows of a record. Motion is where an observed channel exceeds `motion` (SI).
+    pub(super) fn run(
+        structure: &Structure,
+        rows: &[Row],
+        baseline: Option<&Baseline>,
+        motion: f64,
+    ) -> Result<Self, RecordsError> {
+        let layout = Layout::of(structure)?;
+        let nodes = NodePlan::of(structure, Clocks::Right)?;
+        let mut alignment = Alignment::new(layout, "ingest".to_owned(), 1);
+        let mut cutter = Cutter::new(nodes, 1, BLOCK_SAMPLES);
+        let mut chain = Chain::new(structure, baseline, motion)?;
+        let (mut samples, mut frames) = (Vec::new(), Vec::new());
+        for row in rows {
+            cutter.push(row.time_ns, &row.values, &mut samples);
+            for (node, block) in samples.drain(..) {
+                alignment.handle(spandrel_ingest::Input::Samples { node, block }, &mut frames);
+            }
+            frames.drain(..).try_for_each(|block| chain.handle(block))?;
+        }
+        cutter.end(&mut samples);
+        for (node, block) in samples {
+            alignment.handle(spandrel_ingest::Input::Samples { node, block }, &mut frames);
+        }
+        frames.drain(..).try_for_each(|block| chain.handle(block))?;
+        Ok(chain.finish())
+    }
+
+    /// Alerts that were raised, by parameter and time (s).
+    pub(super) fn raised(&self) -> impl Iterator<Item = &(f64, Alert)> {
+        self.alerts.iter().filter(|(_, alert)| alert.state == AlertState::Raised)
+    }
+
+    /// The last point; `None` of an empty record.
+    pub(super) fn end(&self) -> Option<&Point> {
+        self.points.last()
+    }
+
+    /// The last point in motion.
+    pub(super) fn last_moving(&self) -> Option<&Point> {
+        self.points.iter().rev().find(|point| point.moves && point.works)
+    }
+
+    /// Shares of the moving points with a verdict of supported, doubtful and contradicted.
+    pub(super) fn verdict_shares(&self) -> [f64; 3] {
+        let moving = || self.points.iter().filter(|point| point.moves);
+        let share = |verdict| {
+            moving().filter(|point| point.verdict == Some(verdict)).count() as f64 / moving().count().max(1) as f64
+        };
+        [FitVerdict::Supported, FitVerdict::Doubtful, FitVerdict::Contradicted].map(share)
+    }
+
+    /// Share of the moving points with a decision.
+    pub(super) fn decided_share(&self) -> f64 {
+        let moving = || self.points.iter().filter(|point| point.moves);
+        moving().filter(|point| point.is_decided).count() as f64 / moving().count().max(1) as f64
+    }
+
+    /// What `spandrel baseline --skip` learns from this record.
+    pub(super) fn summary(&self, skip_s: f64) -> Option<RecordSummary> {
+        let learnt = self.points.iter().filter(|point| point.works && point.time_s >= skip_s);
+        RecordSummary::from_estimates(
+            learnt.map(|point| point.mean.iter().copied().zip(point.std.iter().copied()).collect::<Vec<_>>()),
+        )
+    }
+}
+
+/// Identification and decision, and what is kept of them.
+struct Chain {
+    identification: Identification,
+    watch: Watch,
+    observed: Vec<usize>,
+    motion: f64,
+    rate_hz: f64,
+    /// Frames since the last large sample.
+    since_motion: Option<u64>,
+    moves: std::collections::VecDeque<bool>,
+    start_ns: Option<i64>,
+    points: Vec<Point>,
+    alerts: Vec<(f64, Alert)>,
+}
+
+impl Chain {
+    fn new(structure: &Structure, baseline: Option<&Baseline>, motion: f64) -> Result<Self, RecordsError> {
+        Ok(Self {
+            identification: Identification::new(structure, "identify")?,
+            watch: Watch::new(structure, baseline)?,
+            observed: structure.observation_channels().to_vec(),
+            motion,
+            rate_hz: structure.sampling_rate_hz(),
+            since_motion: None,
+            moves: std::collections::VecDeque::new(),
+            start_ns: None,
+            points: Vec::new(),
+            alerts: Vec::new(),
+        })
+    }
+
+    fn handle(&mut self, block: FrameBlock) -> Result<(), RecordsError> {
+        self.start_ns.get_or_insert(block.t0_ns);
+        for (_, values) in block.iter() {
+            let is_large = self.observed.iter().any(|channel| values[*channel].abs() > self.motion);
+            self.since_motion = if is_large { Some(0) } else { self.since_motion.map(|frames| frames + 1) };
+            let moves = self.since_motion.is_some_and(|frames| (frames as f64) < STILL_MOVING_S * self.rate_hz);
+            self.moves.push_back(moves);
+        }
+        let mut outputs = Vec::new();
+        self.identification.handle(Input::Frames(block), &mut outputs);
+        for output in outputs {
+            if let Output::Estimates(estimates) = output {
+                for piece in pieces(&estimates) {
+                    self.decide(&piece)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn decide(&mut self, block: &EstimateBlock) -> Result<(), RecordsError> {
+        let start_ns = self.start_ns.unwrap_or(block.t0_ns);
+        let since_start_s = |time_ns: i64| time_ns.saturating_sub(start_ns) as f64 / 1e9;
+        let mut alerts = Vec::new();
+        self.watch.handle_block(block, &mut alerts)?;
+        let tells = |state| matches!(state, AlertState::Raised | AlertState::Acknowledged | AlertState::Cleared);
+        let told = alerts.into_iter().filter(|alert| tells(alert.state));
+        self.alerts.extend(told.map(|alert| (since_start_s(alert.estimate.time_ns), alert)));
+        let is_decided = self.watch.decisions().iter().all(is_decided);
+        let Some(grid) = block.grid() else { return Ok(()) };
+        for (number, estimate) in block.iter() {
+            let std = |index| estimate.variance(index).unwrap_or(0.0).max(0.0).sqrt();
+            let works = estimate.flags.phase == Phase::Working;
+            self.points.push(Point {
+                time_s: since_start_s(grid.time_ns(number)),
+                std: (0..estimate.mean.len()).map(std).collect(),
+                mean: estimate.mean.clone(),
+                verdict: estimate.flags.fit,
+                moves: self.moves.pop_front().unwrap_or(false),
+                works,
+                is_decided: works && is_decided,
+            });
+        }
+        Ok(())
+    }
+
+    fn finish(self) -> Course {
+        let stands = |decision: &&spandrel_alert::Decision| {
+            let state = decision.last_alert().map(|alert| alert.state);
+            matches!(state, Some(AlertState::Raised | AlertState::Acknowledged))
+        };
+        let standing = self.watch.decisions().iter().filter(stands).count();
+        Course { points: self.points, alerts: self.alerts, standing }
+    }
+}
+
+/// Returns `true` if a rule has compared the parameter with its reference.
+fn is_decided(decision: &spandrel_alert::Decision) -> bool {
+    let is_learning = match decision.last_alert() {
+        Some(alert) => alert.state == AlertState::Learning,
+        // what is learnt is announced from the start; a known reference is compared without a word
+        None => matches!(decision.rule().reference(), ReferenceRule::Learnt { .. }),
+    };
+    !is_learning && decision.undecided_because().is_none()
+}
+
+/// Cuts a block so that the state of a decision can be read in between.
+fn pieces(block: &EstimateBlock) -> impl Iterator<Item = EstimateBlock> + '_ {
+    let sequence = block.header.sequence;
+    block.estimates.chunks(DECIDED_AT_ONCE).enumerate().map(move |(piece, estimates)| {
+        let mut header = block.header.clone();
+        header.sequence = sequence + (piece * DECIDED_AT_ONCE) as u64;
+        if let Some(grid) = block.grid() {
+            header.time_ns = grid.time_ns(header.sequence);
+        }
+        EstimateBlock { header, estimates: estimates.to_vec(), ..without_estimates(block) }
+    })
+}
+
+fn without_estimates(block: &EstimateBlock) -> EstimateBlock {
+    EstimateBlock {
+        header: block.header.clone(),
+        term: block.term,
+        t0_ns: block.t0_ns,
+        sampling_rate_hz: block.sampling_rate_hz,
+        parameters: block.parameters,
+        noise_parameters: block.noise_parameters,
+        channels: block.channels,
+        estimates: Vec::new(),
+        state: block.state,
+    }
+}

@@ -1,0 +1,78 @@
+//! One line of the table.
+
+use serde::{Deserialize, Serialize};
+
+/// The result of one condition, over several runs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// What was run.
+    pub condition: String,
+    /// Number of runs; 0 where the records are missing.
+    pub runs: usize,
+    /// Runs with an alert that the structure does not justify; `None` where the row is not about alerts.
+    pub false_alerts: Option<usize>,
+    /// Share of the comparisons within the stated interval, 0 to 1.
+    pub coverage: Option<f64>,
+    /// Shares of the motion with the verdicts supported, doubtful and contradicted.
+    pub verdicts: Option<[f64; 3]>,
+    /// Share of the motion with a decision.
+    pub decided_share: Option<f64>,
+    /// What is required, in words.
+    pub required: String,
+    /// Whether that holds; `None` where nothing is required, or where the records are missing.
+    pub passed: Option<bool>,
+    /// What was seen, in words.
+    pub seen: String,
+}
+
+impl Row {
+    /// Starts a row of a condition.
+    pub(super) fn new(condition: impl Into<String>, required: impl Into<String>) -> Self {
+        Self {
+            condition: condition.into(),
+            runs: 0,
+            false_alerts: None,
+            coverage: None,
+            verdicts: None,
+            decided_share: None,
+            required: required.into(),
+            passed: None,
+            seen: String::new(),
+        }
+    }
+
+    /// Makes a row that was skipped, with the reason.
+    pub(super) fn skipped(condition: impl Into<String>, required: impl Into<String>, why: impl Into<String>) -> Self {
+        Self { seen: format!("skipped: {}", why.into()), ..Self::new(condition, required) }
+    }
+}
+
+impl std::fmt::Display for Row {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let percent = |share: Option<f64>| share.map_or("-".to_owned(), |share| format!("{:.0} %", 100.0 * share));
+        let result = match self.passed {
+            Some(true) => "as required",
+            Some(false) => "MISSED",
+            None => "not judged",
+        };
+        writeln!(f, "{} ({} runs): {result}", self.condition, self.runs)?;
+        writeln!(f, "    required: {}", self.required)?;
+        if let Some(alerts) = self.false_alerts {
+            writeln!(f, "    runs with a false alert: {alerts}")?;
+        }
+        if let Some(verdicts) = self.verdicts {
+            let [supported, doubtful, contradicted] = verdicts.map(|share| 100.0 * share);
+            writeln!(
+                f,
+                "    fit supported {supported:.0} %, doubtful {doubtful:.0} %, contradicted {contradicted:.0} %"
+            )?;
+        }
+        writeln!(
+            f,
+            "    inside the stated interval: {}; time with a decision: {}",
+            percent(self.coverage),
+            percent(self.decided_share)
+        )?;
+        write!(f, "    {}", self.seen.trim_end().replace("; ", "\n    "))
+    }
+}

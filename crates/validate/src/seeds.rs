@@ -1,0 +1,101 @@
+//! Which seeds a validation runs with.
+
+use std::str::FromStr;
+
+/// Largest number of seeds of one validation.
+const MOST: u64 = 1000;
+
+/// An inclusive range of seeds, written `4..8`; a single number `N` stands for `1..N`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Seeds {
+    first: u64,
+    last: u64,
+}
+
+impl Seeds {
+    /// Returns the seeds in ascending order.
+    pub fn iter(self) -> impl Iterator<Item = u64> {
+        self.first..=self.last
+    }
+}
+
+/// Why a text is no range of seeds.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum SeedsError {
+    /// The text is neither a number nor two numbers with two full stops between them.
+    #[error("`{found}` is no range of seeds, must be a number such as 5 (seeds 1 to 5) or a range such as 4..8")]
+    Form {
+        /// The text.
+        found: String,
+    },
+    /// The range has no seed.
+    #[error("the range {first}..{last} is empty, its second number must be at least its first")]
+    Empty {
+        /// First seed.
+        first: u64,
+        /// Last seed.
+        last: u64,
+    },
+    /// The range has too many seeds.
+    #[error("{count} seeds are too many, at most {MOST}")]
+    TooMany {
+        /// Number of seeds.
+        count: u64,
+    },
+}
+
+impl FromStr for Seeds {
+    type Err = SeedsError;
+
+    fn from_str(text: &str) -> Result<Self, SeedsError> {
+        let form = || SeedsError::Form { found: text.to_owned() };
+        let number = |text: &str| text.parse::<u64>().map_err(|_| form());
+        let (first, last) = match text.split_once("..") {
+            Some((first, last)) => (number(first)?, number(last)?),
+            None => (1, number(text)?),
+        };
+        match last.checked_sub(first) {
+            None => Err(SeedsError::Empty { first, last }),
+            Some(more) if more >= MOST => Err(SeedsError::TooMany { count: more.saturating_add(1) }),
+            Some(_) => Ok(Self { first, last }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parsed(text: &str) -> Vec<u64> {
+        text.parse::<Seeds>().unwrap().iter().collect()
+    }
+
+    #[test]
+    fn a_range_includes_both_ends() {
+        assert_eq!(parsed("4..8"), [4, 5, 6, 7, 8]);
+        assert_eq!(parsed("17..17"), [17]);
+        assert_eq!(parsed("0..1"), [0, 1]);
+    }
+
+    #[test]
+    fn a_number_stands_for_the_seeds_from_one() {
+        assert_eq!(parsed("3"), [1, 2, 3]);
+    }
+
+    #[test]
+    fn every_other_text_is_refused_with_what_is_allowed() {
+        for (text, part) in [
+            ("8..4", "the range 8..4 is empty"),
+            ("0", "the range 1..0 is empty"),
+            ("4..=8", "must be a number such as 5"),
+            ("..8", "must be a number such as 5"),
+            ("five", "`five`"),
+            ("-1", "`-1`"),
+            ("1001", "1001 seeds are too many, at most 1000"),
+            ("0..18446744073709551615", "too many"),
+        ] {
+            let message = text.parse::<Seeds>().unwrap_err().to_string();
+            assert!(message.contains(part), "{text}: {message}");
+        }
+    }
+}
