@@ -20,7 +20,8 @@ pub(crate) const LARGEST_STEP: f64 = 1.5;
 pub enum InputHold {
     /// Held at the older frame's value, as the source's examples are simulated.
     Zero,
-    /// A straight line from the older frame to the newer one, which follows a recorded motion without half a step of delay.
+    /// A straight line from the older frame to the newer one, which follows a recorded motion without half a step of delay. A motion
+    /// that is smooth exceeds the line where it bends; the filter adds that on average over the step.
     First,
 }
 

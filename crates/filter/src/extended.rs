@@ -35,6 +35,9 @@ const ROUNDING: f64 = 1e-12;
 /// Above this normalised innovation squared per entry of the state, a step is no measure of the motion.
 const CREDIBLE: f64 = 25.0;
 
+/// While the start-up aid raises the noise of the sensors more than this, residuals do not have the size that screening asks for.
+const LARGEST_SCREENED_ANNEALING: f64 = 2.0;
+
 /// One instant as the filter sees it.
 #[derive(Debug, Clone, Copy)]
 pub struct Frame<'a> {
@@ -309,6 +312,11 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             ("noise parameters of a checkpoint", state.noise.mean.len(), self.settings.noise.parameters.len()),
             ("misfit of a checkpoint", state.misfit_len(), self.state.misfit_len()),
             ("fit of a checkpoint", state.fit_len(), self.state.fit_len()),
+            (
+                "course of the excitation of a checkpoint",
+                state.course_len().unwrap_or(0),
+                self.state.course_len().unwrap_or(0),
+            ),
         ];
         for (what, found, expected) in sizes {
             if found != expected {
@@ -388,6 +396,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             work.older[j] = if older.is_nan() { 0.0 } else { older };
             work.newer[j] = if newer.is_nan() { 0.0 } else { newer };
             work.missing[j] = if older.is_nan() { state.excitation_mean_square[j] } else { 0.0 };
+            let course = state.excitation_course.as_ref();
+            work.above_the_line[j] = course.map_or(0.0, |course| course.above_the_line(j, older, newer));
         }
     }
 
@@ -424,12 +434,14 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         if let Some(posterior) = &state.posterior {
             work.older += &posterior.mean;
         }
+        work.older += &work.above_the_line;
         if let Some(constant) = &mut work.constant {
             constant.propagate_covariance_to(&state.covariance, settings.fading.value(), &mut work.covariance);
             let held = &work.older;
             let ramp = (settings.input_hold == InputHold::First).then(|| {
                 work.newer_less_older.copy_from(&work.newer);
                 work.newer_less_older -= held;
+                work.newer_less_older += &work.above_the_line;
                 &work.newer_less_older
             });
             constant.predict_mean_mut(&mut work.mean, held, ramp);
@@ -448,6 +460,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         work.inputs.as_mut_slice()[n..].copy_from_slice(work.input_matrix.as_slice());
         let ramp = (settings.input_hold == InputHold::First).then(|| {
             work.older.axpy(1.0, &work.newer, -1.0); // the slope, per step
+            work.older += &work.above_the_line;
             work.ramp.gemv(1.0 / settings.step_s, &work.input_matrix, &work.older, 0.0);
             work.ramp.as_slice()
         });
@@ -569,6 +582,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             }
             work.variances[channel] = variance;
         }
+        if annealing > LARGEST_SCREENED_ANNEALING {
+            outliers.retrain();
+        }
         let residuals = work.update.innovation.as_mut_slice();
         outliers.screen(outlier_settings, residuals, work.variances.as_slice(), &mut work.sorted)
     }
@@ -679,9 +695,10 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let (Some(misfit_settings), Some(misfit)) = (&settings.misfit, &mut state.misfit) else {
             return;
         };
-        let Workspace { misfit: scratch, mean, covariance, p_ht, update, .. } = work;
+        let Workspace { misfit: scratch, mean, covariance, p_ht, update, missing, .. } = work;
         scratch.read(&update.variances, p_ht, update.whitened());
-        let jumped = misfit.take(misfit_settings, scratch, normalised_innovation_squared);
+        let is_excitation_known = missing.iter().all(|mean_square| *mean_square == 0.0);
+        let jumped = misfit.take(misfit_settings, scratch, normalised_innovation_squared, is_excitation_known);
         scratch.temper(misfit, misfit_settings, settings.fading.value(), &settings.prior_std, mean, covariance);
         if jumped {
             let first = mean.len() - model.parameter_len();
@@ -776,6 +793,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         std::mem::swap(&mut state.mean, &mut work.mean);
         std::mem::swap(&mut state.covariance, &mut work.covariance);
         let weight = 1.0 / (state.steps as f64 + 1.0).min(settings.fading.memory_steps());
+        if let Some(course) = &mut state.excitation_course {
+            course.take(&state.last_excitation, frame.excitation);
+        }
         for j in 0..state.last_excitation.len() {
             let known = frame.excitation[j];
             state.last_excitation[j] = known;

@@ -28,6 +28,7 @@
 //! This room knows nothing of structures or of the network; for a filter of a structure see `spandrel-structure`.
 
 mod dense;
+mod excitation_course;
 mod product;
 
 pub mod error;

@@ -163,7 +163,16 @@ impl MisfitState {
     }
 
     /// Takes the scores of one step and `νᵀ S⁻¹ ν` per used channel; returns `true` if the parameters have jumped.
-    pub(crate) fn take(&mut self, settings: &MisfitSettings, scratch: &Workspace, innovation_square: f64) -> bool {
+    ///
+    /// While a measured excitation has no samples, its return is as likely a cause of large scores as a change of the
+    /// structure: no jump is followed then (`is_excitation_known`).
+    pub(crate) fn take(
+        &mut self,
+        settings: &MisfitSettings,
+        scratch: &Workspace,
+        innovation_square: f64,
+        is_excitation_known: bool,
+    ) -> bool {
         let short = (1.0 / settings.block_steps[0]).min(1.0);
         self.innovation_square += short * (innovation_square - self.innovation_square);
         let memory = (-1.0 / settings.memory_steps).exp();
@@ -184,7 +193,7 @@ impl MisfitState {
         }
         self.steps += 1;
         self.since_jump = self.since_jump.map(|since| since + 1);
-        settled && largest > settings.jump_threshold * settings.jump_threshold
+        settled && is_excitation_known && largest > settings.jump_threshold * settings.jump_threshold
     }
 
     /// Begins to follow a jump after which the parameters have these variances (N_θ).

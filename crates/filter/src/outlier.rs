@@ -230,10 +230,13 @@ impl ChannelScreen {
         self.recent.rejected_share()
     }
 
+    /// Finds the scale anew; a faulty channel stays out until its residuals are those of the model again.
     fn retrain(&mut self) {
-        self.window.clear();
-        self.recent.clear();
-        self.trained = false;
+        if !self.faulty {
+            self.window.clear();
+            self.recent.clear();
+            self.trained = false;
+        }
     }
 
     /// Takes a scale that was estimated anew.
@@ -285,7 +288,7 @@ impl OutlierState {
         &self.channels
     }
 
-    /// Finds all scales anew: after the motion was forgotten, residuals are large for a while.
+    /// Finds all scales anew: residuals are large for a while after the motion was forgotten, and while the noise is annealed.
     pub(crate) fn retrain(&mut self) {
         self.channels.iter_mut().for_each(ChannelScreen::retrain);
     }

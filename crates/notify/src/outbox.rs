@@ -190,9 +190,8 @@ impl Outbox {
         let most = told.iter().filter(|before| before.stands() && is_of_alert(before)).map(loss).fold(0.0, f64::max);
         let is_louder = alert.stands() && loss(alert) >= LOUDER * most;
         let is_news = before.is_none() || is_louder;
-        if !alert.stands() {
-            told.retain(|before| before.state == alert.state);
-        }
+        // what is over and what stands are news of each other
+        told.retain(|before| if alert.stands() { before.stands() } else { before.state == alert.state });
         if is_news {
             told.retain(|before| before.state != alert.state);
             told.push(alert.clone());
@@ -427,6 +426,13 @@ mod tests {
         use AlertState::{Cleared, Raised, Unconfirmed};
         let states = [Raised, Unconfirmed, Raised, Cleared, Cleared, Raised].map(|state| (state, 0.12));
         assert_eq!(sent(&states), [states[0], states[3], states[5]]);
+    }
+
+    #[test]
+    fn end_of_each_alert_is_told() {
+        use AlertState::{Cleared, Raised};
+        let states = [Raised, Cleared, Raised, Cleared].map(|state| (state, 0.12));
+        assert_eq!(sent(&states), states);
     }
 
     #[test]

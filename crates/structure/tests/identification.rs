@@ -149,8 +149,11 @@ fn the_hysteretic_oscillator_is_identified() {
 
 #[test]
 fn stiffnesses_and_dashpots_of_a_building_are_identified() {
-    // the second storey begins to soften after 8 s
-    assert_identified(&run_from(&example("dashpot-building.toml"), 0.1, 7.9, 1), &[1.0; 8], 0.2);
+    // The memory of the example follows a sudden loss, and is too short for dashpots: a longer one here. The second storey begins
+    // to soften after 8 s.
+    let text = example("dashpot-building.toml").text().replace("half-life-s = 1\n", "half-life-s = 10\n");
+    let building = Structure::parse(&text, Path::new("building.toml")).unwrap_or_else(|error| panic!("{error}"));
+    assert_identified(&run_from(&building, 0.1, 7.9, 1), &[1.0; 8], 0.2);
 }
 
 #[test]

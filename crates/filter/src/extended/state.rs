@@ -1,6 +1,8 @@
 //! What a filter knows between two steps.
 
 use super::settings::FilterSettings;
+use crate::discretise::InputHold;
+use crate::excitation_course::ExcitationCourse;
 use crate::fit::FitState;
 use crate::misfit::MisfitState;
 use crate::model::{ObservationModel, ProcessModel};
@@ -26,6 +28,8 @@ pub struct FilterState {
     pub(super) fresh: bool,
     /// the known excitation of the last frame, NaN where it was missing (N_f)
     pub(super) last_excitation: DVector<f64>,
+    /// how the known excitation runs between frames, where it is not held
+    pub(super) excitation_course: Option<ExcitationCourse>,
     /// running mean square of the known excitation, for missing samples (N_f)
     pub(super) excitation_mean_square: DVector<f64>,
     /// running mean square of the physical state, for when it must be forgotten (n − N_θ)
@@ -59,6 +63,11 @@ impl FilterState {
         self.fit.as_ref().map_or(0, FitState::remembered_len)
     }
 
+    /// Returns the number of components whose course is followed; `None` where nothing is, or its own lengths disagree.
+    pub(super) fn course_len(&self) -> Option<usize> {
+        self.excitation_course.as_ref().and_then(ExcitationCourse::len)
+    }
+
     /// Returns the state at the prior.
     pub(super) fn start(model: &(impl ProcessModel + ObservationModel), settings: &FilterSettings) -> Self {
         let (n, inputs) = (model.state_len(), model.excitation_len());
@@ -73,6 +82,7 @@ impl FilterState {
             annealed_from: 0,
             fresh: true,
             last_excitation: DVector::zeros(inputs),
+            excitation_course: (settings.input_hold == InputHold::First).then(|| ExcitationCourse::new(inputs)),
             excitation_mean_square: DVector::zeros(inputs),
             motion_mean_square: DVector::zeros(n - model.parameter_len()),
             posterior: model.feedthrough().map(|direct| ExcitationPosterior::new(n, direct.nrows(), inputs)),

@@ -56,6 +56,8 @@ pub(super) struct Workspace {
     pub(super) newer: DVector<f64>,
     /// variance of a measured excitation whose sample at the older frame is missing, else 0 (N_f)
     pub(super) missing: DVector<f64>,
+    /// what the known excitation exceeds its straight line by, on average over the step (N_f)
+    pub(super) above_the_line: DVector<f64>,
     /// growth of the known excitation over the step (N_f)
     pub(super) newer_less_older: DVector<f64>,
     /// B_y ḟ (n)
@@ -113,6 +115,7 @@ impl Workspace {
             older: DVector::zeros(inputs),
             newer: DVector::zeros(inputs),
             missing: DVector::zeros(inputs),
+            above_the_line: DVector::zeros(inputs),
             newer_less_older: DVector::zeros(inputs),
             ramp: DVector::zeros(n),
             variances: DVector::zeros(channels),
