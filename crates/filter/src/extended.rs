@@ -304,6 +304,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// When the state does not fit the model.
     pub fn restore(&mut self, state: FilterState) -> Result<(), FilterError> {
         let n = self.model.state_len();
+        let [(states, inputs), (own_states, own_inputs)] = [&state, &self.state].map(FilterState::course_shape);
         let sizes = [
             ("mean of a checkpoint", state.mean.len(), n),
             ("covariance of a checkpoint", state.covariance.len(), n * n),
@@ -312,11 +313,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             ("noise parameters of a checkpoint", state.noise.mean.len(), self.settings.noise.parameters.len()),
             ("misfit of a checkpoint", state.misfit_len(), self.state.misfit_len()),
             ("fit of a checkpoint", state.fit_len(), self.state.fit_len()),
-            (
-                "course of the excitation of a checkpoint",
-                state.course_len().unwrap_or(0),
-                self.state.course_len().unwrap_or(0),
-            ),
+            ("states that the excitation of a checkpoint drives", states, own_states),
+            ("course of the excitation of a checkpoint", inputs, own_inputs),
         ];
         for (what, found, expected) in sizes {
             if found != expected {
@@ -395,9 +393,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             let (older, newer) = (state.last_excitation[j], frame.excitation[j]);
             work.older[j] = if older.is_nan() { 0.0 } else { older };
             work.newer[j] = if newer.is_nan() { 0.0 } else { newer };
-            work.missing[j] = if older.is_nan() { state.excitation_mean_square[j] } else { 0.0 };
             let course = state.excitation_course.as_ref();
             work.above_the_line[j] = course.map_or(0.0, |course| course.above_the_line(j, older, newer));
+            if let Some(course) = course {
+                course.make_up(j, older, newer, &mut state.mean);
+            }
+            work.missing[j] = if older.is_nan() { state.excitation_mean_square[j] } else { 0.0 };
         }
     }
 
@@ -410,12 +411,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         work.frame_excitation.copy_from(&work.step_excitation);
         for j in 0..work.older.len() {
             // a missing sample of a measured excitation is as uncertain as the excitation itself is large
-            let mean_square = state.excitation_mean_square[j];
-            if state.last_excitation[j].is_nan() {
-                work.step_excitation[(j, j)] += mean_square;
-            }
+            work.step_excitation[(j, j)] += work.missing[j];
             if frame.excitation[j].is_nan() {
-                work.frame_excitation[(j, j)] += mean_square;
+                work.frame_excitation[(j, j)] += state.excitation_mean_square[j];
             }
         }
     }
@@ -623,9 +621,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         work.step_excitation.copy_from(&settings.noise.excitation);
         work.frame_excitation.copy_from(&settings.noise.excitation);
         for j in 0..work.older.len() {
-            if state.last_excitation[j].is_nan() {
-                work.step_excitation[(j, j)] += state.excitation_mean_square[j];
-            }
+            // a missing sample of a measured excitation is as uncertain as the excitation itself is large
+            work.step_excitation[(j, j)] += work.missing[j];
             if frame.excitation[j].is_nan() {
                 work.frame_excitation[(j, j)] += state.excitation_mean_square[j];
             }
@@ -695,9 +692,9 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let (Some(misfit_settings), Some(misfit)) = (&settings.misfit, &mut state.misfit) else {
             return;
         };
-        let Workspace { misfit: scratch, mean, covariance, p_ht, update, missing, .. } = work;
+        let Workspace { misfit: scratch, mean, covariance, p_ht, update, .. } = work;
         scratch.read(&update.variances, p_ht, update.whitened());
-        let is_excitation_known = missing.iter().all(|mean_square| *mean_square == 0.0);
+        let is_excitation_known = !state.last_excitation.iter().any(|sample| sample.is_nan());
         let jumped = misfit.take(misfit_settings, scratch, normalised_innovation_squared, is_excitation_known);
         scratch.temper(misfit, misfit_settings, settings.fading.value(), &settings.prior_std, mean, covariance);
         if jumped {
@@ -793,8 +790,10 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         std::mem::swap(&mut state.mean, &mut work.mean);
         std::mem::swap(&mut state.covariance, &mut work.covariance);
         let weight = 1.0 / (state.steps as f64 + 1.0).min(settings.fading.memory_steps());
-        if let Some(course) = &mut state.excitation_course {
-            course.take(&state.last_excitation, frame.excitation);
+        match &mut state.excitation_course {
+            Some(course) if state.fresh => course.interrupt(),
+            Some(course) => course.take(&state.last_excitation, frame.excitation, &work.input_matrix),
+            None => {}
         }
         for j in 0..state.last_excitation.len() {
             let known = frame.excitation[j];

@@ -63,9 +63,10 @@ impl FilterState {
         self.fit.as_ref().map_or(0, FitState::remembered_len)
     }
 
-    /// Returns the number of components whose course is followed; `None` where nothing is, or its own lengths disagree.
-    pub(super) fn course_len(&self) -> Option<usize> {
-        self.excitation_course.as_ref().and_then(ExcitationCourse::len)
+    /// Returns the numbers of states and components of the course of the excitation; zeros where none is followed, or its own
+    /// lengths disagree.
+    pub(super) fn course_shape(&self) -> (usize, usize) {
+        self.excitation_course.as_ref().and_then(ExcitationCourse::shape).unwrap_or_default()
     }
 
     /// Returns the state at the prior.
@@ -82,7 +83,7 @@ impl FilterState {
             annealed_from: 0,
             fresh: true,
             last_excitation: DVector::zeros(inputs),
-            excitation_course: (settings.input_hold == InputHold::First).then(|| ExcitationCourse::new(inputs)),
+            excitation_course: (settings.input_hold == InputHold::First).then(|| ExcitationCourse::new(n, inputs)),
             excitation_mean_square: DVector::zeros(inputs),
             motion_mean_square: DVector::zeros(n - model.parameter_len()),
             posterior: model.feedthrough().map(|direct| ExcitationPosterior::new(n, direct.nrows(), inputs)),
