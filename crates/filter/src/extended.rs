@@ -363,6 +363,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 origin(row).map_or(0.0, |row| known.cross[(row, input)])
             });
         }
+        state.excitation_course = state.excitation_course.map(|course| course.of_states(mean.len()));
         (state.mean, state.covariance) = (mean, covariance);
         self.state = state;
     }
