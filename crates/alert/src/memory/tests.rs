@@ -25,7 +25,7 @@ fn new(text: &str) -> AlertState {
 }
 
 /// A second of estimates with these means and standard deviation 0.01.
-fn second_of(state: &mut AlertState, means: [f64; 2]) -> Vec<Alert> {
+pub(super) fn second_of(state: &mut AlertState, means: [f64; 2]) -> Vec<Alert> {
     let estimate = Estimate {
         mean: means.to_vec(),
         covariance: vec![1e-4, 0.0, 1e-4],

@@ -54,8 +54,10 @@ impl From<Watch> for crate::Watch {
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::second_of;
     use super::super::{AlertState, Memory};
-    use spandrel_bus::AlertState::{Acknowledged, Cleared, Learning, Pending, Raised};
+    use crate::{Decision, Reference};
+    use spandrel_bus::AlertState::{Acknowledged, Cleared, Learning, Normal, Pending, Raised};
     use spandrel_bus::Name;
     use spandrel_checkpoint::Remembering;
     use spandrel_structure::Structure;
@@ -75,8 +77,12 @@ mod tests {
     }
 
     fn recalled(structure: &Structure) -> AlertState {
+        recalled_from(&kept().join("state/spandrel/kept/house/checkpoints"), structure)
+    }
+
+    fn recalled_from(kept: &Path, structure: &Structure) -> AlertState {
         let folder = tempfile::tempdir().unwrap();
-        for entry in std::fs::read_dir(kept().join("state/spandrel/kept/house/checkpoints")).unwrap() {
+        for entry in std::fs::read_dir(kept).unwrap() {
             let path = entry.unwrap().path();
             std::fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();
         }
@@ -137,5 +143,42 @@ mod tests {
         assert!(why.contains("alert of storey-2 has ended: what the loss counts from is learnt anew"), "{why}");
         let seen = state.log.iter().find(|alert| alert.state == Acknowledged).unwrap();
         assert_eq!(seen.acknowledgement.as_ref().map(|by| (by.who.as_str(), by.note.as_str())), Some(("Ada", "seen")));
+    }
+
+    // Four rules that 0.1.0 left in other stages: it learns a reference, it counts towards an alert of storey 1, and it has cleared
+    // two alerts of storey 2, one of them against a reference that it had learnt.
+    #[test]
+    fn decisions_of_0_1_0_go_on_in_their_stages() {
+        let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/kept/0.1.0");
+        let structure = Structure::read(&kept.join("structure.toml")).unwrap();
+        let former = recalled_from(&kept, &structure);
+        let present = AlertState::new(&structure, None).unwrap();
+        let rules = |state: &AlertState| -> Vec<crate::Rule> {
+            state.watch.decisions().iter().map(|decision| decision.rule().clone()).collect()
+        };
+        assert_eq!(rules(&former), rules(&present));
+        let last: Vec<_> = former.watch.decisions().iter().map(|decision| decision.last_alert().unwrap()).collect();
+        assert_eq!(states(last.iter().copied().cloned()), [Learning, Pending, Cleared, Cleared]);
+        let reference = |mean, std| Some(Reference::new(mean, std).unwrap());
+        let references: Vec<_> = last.iter().map(|alert| alert.reference).collect();
+        assert_eq!(references, [None, reference(1.0, 0.0), reference(1.0, 0.0), reference(1.0, 0.01)]);
+        assert_eq!(former.log.len(), 10);
+        assert!(former.unsent.iter().eq(former.log.iter().skip(7)), "{:?}", former.unsent);
+
+        let mut state = present.succeed(former.clone());
+        assert_eq!((&state.log, &state.unsent), (&former.log, &former.unsent));
+        // what was pending is sustained anew, because another filter makes the estimates
+        let alerts = second_of(&mut state, [0.86, 1.0]);
+        assert_eq!(
+            alerts.iter().map(|alert| (alert.rule, alert.since_ns)).collect::<Vec<_>>(),
+            [(1, Some(3_000_000_000))]
+        );
+        // the reference is learnt until 60 s: of 6001 frames, 100 had a loss of 14 %
+        let alerts: Vec<_> = (4..=60).flat_map(|_| second_of(&mut state, [0.86, 1.0])).collect();
+        let [normal] = &alerts[..] else { panic!("{alerts:?}") };
+        assert_eq!((normal.rule, normal.state, normal.estimate.time_ns), (0, Normal, 60_000_000_000));
+        let mean = normal.reference.unwrap().mean();
+        assert!((mean - (1.0 - 0.14 * 100.0 / 6001.0)).abs() < 1e-12, "{mean}");
+        assert_eq!(state.watch.decisions().iter().filter_map(Decision::last_alert).count(), 4);
     }
 }
