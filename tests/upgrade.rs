@@ -228,6 +228,12 @@ async fn services_go_on_from_what_each_version_has_left() {
             "{alert:?}"
         );
         assert_eq!(serde_json::to_value(alert.since_ns).unwrap(), kept.known["alert"]["since_ns"]);
+        // frames that are identified again do not change what the history has of them
+        let span = serde_json::to_value(history_of_storey_2(&bus, &kept.site, 11.0).await).unwrap();
+        for (column, before) in kept.known["history"]["rows"].as_object().unwrap() {
+            let before = before.as_array().unwrap();
+            assert_eq!(&span["rows"][column].as_array().unwrap()[..before.len()], before, "{column}");
+        }
         services.stop().expect_code(0);
     }
 }
