@@ -85,7 +85,7 @@ enum ReferenceRule {
     Learnt { span_ns: i64 },
 }
 
-/// [`crate::Reference`] of version 2: mean and standard deviation, all of which was taken as known.
+/// [`crate::Reference`] of version 2: mean and standard deviation. 0.1.0 took the whole deviation as known.
 #[derive(Debug, Deserialize)]
 #[serde(try_from = "(f64, f64)")]
 struct Reference(crate::Reference);
@@ -116,7 +116,7 @@ impl From<Stage> for super::Stage {
     }
 }
 
-/// [`super::Watching`] of version 2. What was raised was confirmed: nothing was ever undecided.
+/// [`super::Watching`] of version 2. Every raised alert was confirmed, because 0.1.0 was never undecided.
 #[derive(Debug, Deserialize)]
 enum Watching {
     Normal,

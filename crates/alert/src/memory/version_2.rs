@@ -145,8 +145,8 @@ mod tests {
         assert_eq!(seen.acknowledgement.as_ref().map(|by| (by.who.as_str(), by.note.as_str())), Some(("Ada", "seen")));
     }
 
-    // Four rules that 0.1.0 left in other stages: it learns a reference, it counts towards an alert of storey 1, and it has cleared
-    // two alerts of storey 2, one of them against a reference that it had learnt.
+    // 0.1.0 left four rules. The first one learns its reference, and the second one has a pending alert of storey 1. The others
+    // have cleared an alert of storey 2, the last one against a reference that it had learnt.
     #[test]
     fn decisions_of_0_1_0_go_on_in_their_stages() {
         let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/kept/0.1.0");
@@ -167,7 +167,7 @@ mod tests {
 
         let mut state = present.succeed(former.clone());
         assert_eq!((&state.log, &state.unsent), (&former.log, &former.unsent));
-        // what was pending is sustained anew, because another filter makes the estimates
+        // another filter makes the estimates: the sustain time of a pending alert starts again
         let alerts = second_of(&mut state, [0.86, 1.0]);
         assert_eq!(
             alerts.iter().map(|alert| (alert.rule, alert.since_ns)).collect::<Vec<_>>(),
