@@ -1,5 +1,7 @@
-//! What earlier versions have left on disk: checkpoints, a recording and a history, kept under fixtures/kept, one folder for each
-//! version, are read by this one, and the services go on from them.
+//! This version takes over what earlier versions have left on disk: checkpoints, a recording and a history. They are kept under
+//! fixtures/kept, one folder for each version.
+//!
+//! Checkpoints of identify are an exception: one of another layout is set aside, and identify reads the recording again.
 //!
 //! `cargo test --workspace --test upgrade -- --ignored` adds the folder of this version, with a release.
 
@@ -21,6 +23,8 @@ const ROWS: usize = 1200;
 /// Storey 2 has lost 30 % from the start.
 const RULES: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.95\nsustain-s = 0.5\n\
                      [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 0\nloss = 0.30\n";
+/// Version 0.1.0 took the design as exact where a rule gave no reference; now such a rule learns it.
+const DESIGN_AS_EXACT: &str = "reference = { mean = 1.0, std = 0.0 }\n";
 /// Deviation of an estimate that other processors may round to (ratio of a stiffness; the estimates have some 0.01).
 const ROUNDED: f64 = 1e-6;
 
@@ -54,16 +58,32 @@ struct Kept {
     state: PathBuf,
     record: Record,
     known: Value,
+    /// Whether the state of its filter can go on: that of 0.1.0 cannot, because the filter is another method now.
+    is_filter_read: bool,
 }
 
 impl Kept {
+    /// With its structure file.
     fn of(version: &Path) -> Self {
-        let site = Site::of(&version.join("structure.toml")).rooted(ROOT);
+        Self::with(version, Site::of(&version.join("structure.toml")))
+    }
+
+    /// With its structure file, in which a rule without a reference gets the one that it had before.
+    fn with_reference(version: &Path) -> Self {
+        let text = std::fs::read_to_string(version.join("structure.toml")).unwrap();
+        let given = text.replace("loss = 0.05\n", &format!("loss = 0.05\n{DESIGN_AS_EXACT}"));
+        assert!(given != text, "{text}");
+        Self::with(version, Site::with(if text.contains("reference") { &text } else { &given }))
+    }
+
+    fn with(version: &Path, site: Site) -> Self {
+        let site = site.rooted(ROOT);
         let state = site.folder().join("state");
         copy(&version.join("state"), &state);
         let record = Record::read(&version.join("record.csv"));
         let known = serde_json::from_str(&std::fs::read_to_string(version.join("known.json")).unwrap()).unwrap();
-        Self { site, state, record, known }
+        let is_filter_read = !version.ends_with("0.1.0");
+        Self { site, state, record, known, is_filter_read }
     }
 
     fn checkpoints(&self) -> PathBuf {
@@ -134,17 +154,38 @@ fn difference(expected: &[Identified], found: &[Identified]) -> f64 {
     expected.iter().zip(found).map(of).fold(0.0, f64::max)
 }
 
+/// Checks every field of a message that an earlier version has published; fields that it did not have are not looked at.
+fn assert_as_known(found: &AlertMessage, known: &Value) {
+    let found = serde_json::to_value(found).unwrap();
+    for (field, expected) in known.as_object().unwrap() {
+        assert_eq!(&found[field], expected, "{field} of {found}");
+    }
+}
+
+/// The changes that the alert service remembers of storey 2, oldest first.
+async fn log_of_storey_2(bus: &Bus, site: &Site) -> Vec<AlertMessage> {
+    let logs = bus.ask::<HistoryLog>(&site.keys().alert_log(), DEADLINE).await.unwrap();
+    logs.into_iter().flat_map(|(_, log)| log.alerts).filter(|alert| alert.parameter.as_str() == "storey-2").collect()
+}
+
+fn states(alerts: &[AlertMessage]) -> Vec<AlertState> {
+    alerts.iter().map(|alert| alert.state).collect()
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn services_go_on_from_what_each_version_has_left() {
     for version in versions() {
         println!("{}", version.display());
-        let kept = Kept::of(&version);
+        let kept = Kept::with_reference(&version);
         let expected = kept.site.estimate(kept.record.clone().save_as_copy(kept.site.folder()));
+        let epoch = kept.epoch();
         let services = kept.run();
         let log = services.log();
-        for told in
-            ["spandrel_identify::memory: goes on", "spandrel_alert::memory: goes on", "goes on where its recording"]
-        {
+        let of_identify: &[&str] = match kept.is_filter_read {
+            true => &["spandrel_identify::memory: goes on"],
+            false => &["it has version 1 of its layout", "identifies the recorded frames again refused=1"],
+        };
+        for told in of_identify.iter().chain(&["spandrel_alert::memory: goes on", "goes on where its recording"]) {
             assert!(log.contains(told), "expected {told}, found:\n{log}");
         }
         assert!(log.contains(&format!("frame={SEEN}")), "{log}");
@@ -152,24 +193,81 @@ async fn services_go_on_from_what_each_version_has_left() {
 
         // the alert: who has acknowledged it, and since when
         let alert = alert_of_storey_2(&bus, &kept.site).await;
-        assert_eq!(serde_json::to_value(&alert).unwrap(), kept.known["alert"], "alert");
+        assert_as_known(&alert, &kept.known["alert"]);
+        let changes = log_of_storey_2(&bus, &kept.site).await;
+        assert_eq!(
+            states(&changes),
+            [AlertState::Pending, AlertState::Raised, AlertState::Acknowledged],
+            "{changes:?}"
+        );
         // the history: what was displayed, and what happened
         let span = history_of_storey_2(&bus, &kept.site, 7.0).await;
         assert_eq!(serde_json::to_value(&span).unwrap(), kept.known["history"], "history");
         let log = bus.ask::<HistoryLog>(&keys.history_log(), DEADLINE).await.unwrap();
         assert!(log[0].1.acknowledgements.iter().any(|seen| seen.who == "Ada"), "{log:?}");
 
-        // the identification: the rest of the record on top of what was learnt
-        let start = Start::At { epoch: kept.epoch(), sequence: SEEN as u64 };
+        // the identification: the rest of the record on top of what was learnt, or of what the recording teaches
+        let first = if kept.is_filter_read { SEEN } else { 0 };
+        let start = Start::At { epoch, sequence: first as u64 };
         let mut reader = EstimateReader::with_settings(&bus, &keys, StreamSettings::new(start)).await;
+        let mut decided = bus.watch_progress(keys.progress(Service::Alert)).await.unwrap();
         let mut sensors = Sensors::start(&bus, &keys, kept.site.structure(), &kept.record).await;
         sensors.put(0..SEEN).await;
         sensors.put(SEEN..ROWS).await;
-        let found = reader.read_frames(ROWS - SEEN).await;
-        let off = difference(&expected.frames[SEEN..], found);
-        assert!(off < ROUNDED, "the rest of the record is identified with a difference of {off}");
+        let found = reader.read_frames(ROWS - first).await;
+        let off = difference(&expected.frames[first..], found);
+        println!("frames {first} to {ROWS}: difference of {off}");
+        assert!(off < ROUNDED, "frames {first} to {ROWS} are identified with a difference of {off}");
+
+        // and the alert stands on top of it
+        within("decision on all frames", decided.wait_for(|progress| progress.done >= ROWS as u64)).await;
+        let alert = alert_of_storey_2(&bus, &kept.site).await;
+        assert_eq!(
+            (alert.state, alert.acknowledged_by.as_deref()),
+            (AlertState::Acknowledged, Some("Ada")),
+            "{alert:?}"
+        );
+        assert_eq!(serde_json::to_value(alert.since_ns).unwrap(), kept.known["alert"]["since_ns"]);
+        // frames that are identified again do not change what the history has of them
+        let span = serde_json::to_value(history_of_storey_2(&bus, &kept.site, 11.0).await).unwrap();
+        for (column, before) in kept.known["history"]["rows"].as_object().unwrap() {
+            let before = before.as_array().unwrap();
+            assert_eq!(&span["rows"][column].as_array().unwrap()[..before.len()], before, "{column}");
+        }
         services.stop().expect_code(0);
     }
+}
+
+// A rule without a reference counted from the design in 0.1.0, and learns its reference now.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_alert_of_0_1_0_whose_rule_learns_its_reference_now_ends_in_words() {
+    let kept = Kept::of(&fixtures().join("0.1.0"));
+    let services = kept.run();
+    let bus = kept.site.join().await;
+    assert_eq!(alert_of_storey_2(&bus, &kept.site).await.state, Learning);
+    let changes = log_of_storey_2(&bus, &kept.site).await;
+    use AlertState::{Acknowledged, Cleared, Learning, Pending, Raised};
+    assert_eq!(states(&changes), [Pending, Raised, Acknowledged, Cleared, Learning], "{changes:?}");
+    assert_as_known(&changes[2], &kept.known["alert"]);
+    assert_eq!(
+        changes[3].why,
+        "alert of storey-2 has ended: what the loss counts from is learnt anew, because its rule or the model has changed"
+    );
+    // whoever was away learns of the end from the history
+    let keys = kept.site.keys();
+    within("the end in the history", async {
+        loop {
+            let logs = bus.ask::<HistoryLog>(&keys.history_log(), DEADLINE).await.unwrap();
+            let log = &logs[0].1;
+            assert!(log.acknowledgements.iter().any(|seen| seen.who == "Ada"), "{log:?}");
+            if log.alerts.iter().any(|alert| alert.state == Cleared && alert.parameter.as_str() == "storey-2") {
+                return;
+            }
+            tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+        }
+    })
+    .await;
+    services.stop().expect_code(0);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -408,6 +408,7 @@ impl Decision {
 
 mod announcement;
 mod succession;
+pub(crate) mod version_2;
 
 pub use succession::Model;
 

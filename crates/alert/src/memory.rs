@@ -43,7 +43,7 @@ pub(crate) struct AlertState {
     pub(crate) last_time_ns: Option<i64>,
 }
 
-/// Version of the layout of [`AlertState`]: raised with every change of a field in it or below.
+/// Version of the layout of [`AlertState`]: raised with every change of a field in it or below. [`version_2`] reads the former one.
 const VERSION: u16 = 3;
 
 impl AlertState {
@@ -134,7 +134,9 @@ impl Memory {
     /// Returns the newest state, if there is one that may be read.
     pub(crate) fn recall(&mut self) -> Option<AlertState> {
         loop {
-            let (place, state) = self.checkpoints.load_latest::<AlertState>().found?;
+            let loaded =
+                self.checkpoints.load_latest_or_former::<AlertState, version_2::AlertState>(version_2::VERSION);
+            let (place, state) = loaded.found?;
             if state.is_consistent() {
                 info!(epoch = place.epoch, estimate = place.sequence, "goes on from its checkpoint");
                 self.kept = Some(place);
@@ -185,6 +187,8 @@ impl Memory {
         &self.failures
     }
 }
+
+mod version_2;
 
 #[cfg(test)]
 mod tests;

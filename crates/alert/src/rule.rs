@@ -7,11 +7,11 @@ use crate::{AlertError, Reference};
 /// Asks for an alert when a parameter has lost a share of its reference.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Rule {
-    loss: f64,
-    credibility: f64,
-    sustain_ns: i64,
-    clear_credibility: f64,
-    reference: ReferenceRule,
+    pub(crate) loss: f64,
+    pub(crate) credibility: f64,
+    pub(crate) sustain_ns: i64,
+    pub(crate) clear_credibility: f64,
+    pub(crate) reference: ReferenceRule,
 }
 
 /// Where the reference comes from.

@@ -17,7 +17,7 @@ pub struct Watch {
     parameter_count: usize,
     decisions: Vec<Decision>,
     /// Epoch of the estimates, and number of the next one.
-    expected: Option<(u64, u64)>,
+    pub(crate) expected: Option<(u64, u64)>,
 }
 
 impl Watch {

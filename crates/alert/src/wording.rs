@@ -139,7 +139,7 @@ pub(crate) fn describe_end(subject: &Subject, end: &End) -> String {
             "its rule and the model of the structure file were changed, and identification begins anew".to_owned()
         }
         End::ReferenceLearntAnew => {
-            "what the loss counts from is learnt anew, because the structure file was changed".to_owned()
+            "what the loss counts from is learnt anew, because its rule or the model has changed".to_owned()
         }
     };
     format!("alert of {name} has ended: {why}")

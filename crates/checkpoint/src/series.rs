@@ -8,7 +8,7 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use tracing::warn;
+use tracing::{info, warn};
 
 /// Ending of the files.
 const ENDING: &str = "checkpoint";
@@ -90,7 +90,33 @@ impl Checkpoints {
     /// Returns the newest state that may be read; files that may not are set aside.
     #[must_use]
     pub fn load_latest<T: DeserializeOwned>(&self) -> Loaded<T> {
-        self.load(self.places().unwrap_or_default().into_iter().rev())
+        self.load(self.places().unwrap_or_default().into_iter().rev(), |bytes| self.identity.open(bytes))
+    }
+
+    /// Returns the newest state, as [`Checkpoints::load_latest`], and converts a state of version `former` of the layout.
+    ///
+    /// `F` is the state as that version laid it out.
+    #[must_use]
+    pub fn load_latest_or_former<T, F>(&self, former: u16) -> Loaded<T>
+    where
+        T: DeserializeOwned,
+        F: DeserializeOwned + Into<T>,
+    {
+        let open = |bytes: &[u8]| match self.identity.open(bytes) {
+            Err(Refusal::Version { found, .. }) if found == former => {
+                let identity = Identity { version: former, ..self.identity.clone() };
+                let state = identity.open::<F>(bytes)?;
+                info!(
+                    kind = identity.kind,
+                    of = identity.of,
+                    version = former,
+                    "checkpoint of a former layout converted"
+                );
+                Ok(state.into())
+            }
+            opened => opened,
+        };
+        self.load(self.places().unwrap_or_default().into_iter().rev(), open)
     }
 
     /// Returns what `restore` makes of the newest state that may be read and that it takes; other files are set aside.
@@ -109,7 +135,7 @@ impl Checkpoints {
     /// Returns the oldest state that may be read; files that may not are set aside.
     #[must_use]
     pub fn load_oldest<T: DeserializeOwned>(&self) -> Loaded<T> {
-        self.load(self.places().unwrap_or_default().into_iter())
+        self.load(self.places().unwrap_or_default().into_iter(), |bytes| self.identity.open(bytes))
     }
 
     /// Forgets what nobody needs: all but the last two, the newest one at or before `needed`, and those after it.
@@ -150,11 +176,11 @@ impl Checkpoints {
         Ok(places)
     }
 
-    fn load<T: DeserializeOwned>(&self, places: impl Iterator<Item = Place>) -> Loaded<T> {
+    fn load<T>(&self, places: impl Iterator<Item = Place>, open: impl Fn(&[u8]) -> Result<T, Refusal>) -> Loaded<T> {
         let mut refused = Vec::new();
         for place in places {
             let path = self.path(place);
-            match read(&path).and_then(|bytes| self.identity.open(&bytes)) {
+            match read(&path).and_then(|bytes| open(&bytes)) {
                 Ok(state) => return Loaded { found: Some((place, state)), refused },
                 Err(why) => refused.push((set_aside(&path, &why), why)),
             }
@@ -232,6 +258,32 @@ mod tests {
         }
         assert_eq!(checkpoints.load_latest::<u64>().found, Some((at(2, 40), 40)));
         assert_eq!(checkpoints.load_oldest::<u64>().found, Some((at(1, 900), 900)));
+    }
+
+    #[test]
+    fn state_of_a_former_version_is_converted_and_of_other_versions_set_aside() {
+        /// Version 2 counted in tens.
+        #[derive(serde::Deserialize)]
+        struct Tens(u8);
+        impl From<Tens> for u64 {
+            fn from(Tens(tens): Tens) -> Self {
+                10 * Self::from(tens)
+            }
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let of_version = |version| Checkpoints {
+            identity: Identity { version, ..checkpoints(folder.path()).identity },
+            ..checkpoints(folder.path())
+        };
+        of_version(2).save(at(1, 1), &7_u8).unwrap();
+        of_version(1).save(at(1, 2), &7_u8).unwrap();
+        of_version(4).save(at(1, 3), &7_u8).unwrap();
+        let loaded = of_version(3).load_latest_or_former::<u64, Tens>(2);
+        assert_eq!(loaded.found, Some((at(1, 1), 70)));
+        let refused: Vec<_> = loaded.refused.into_iter().map(|(_, why)| why).collect();
+        assert_eq!(refused, [4, 1].map(|found| Refusal::Version { found, expected: 3 }));
+        of_version(3).save(at(1, 4), &7_u64).unwrap();
+        assert_eq!(of_version(3).load_latest_or_former::<u64, Tens>(2).found, Some((at(1, 4), 7)));
     }
 
     #[test]

@@ -79,9 +79,18 @@ impl Memory {
         mut new: impl FnMut() -> Result<Identification, IdentifyError>,
         load: impl Fn(&Checkpoints) -> Loaded<IdentificationState>,
     ) -> Result<Identification, IdentifyError> {
+        let mut refused = 0;
         loop {
             let mut core = new()?;
-            let Some((place, state)) = load(self.keeper.checkpoints()).found else {
+            let loaded = load(self.keeper.checkpoints());
+            refused += loaded.refused.len();
+            let Some((place, state)) = loaded.found else {
+                if refused > 0 {
+                    warn!(
+                        refused,
+                        "no checkpoint fits: starts from the prior and identifies the recorded frames again"
+                    );
+                }
                 return Ok(core);
             };
             match core.restore(state) {
@@ -89,7 +98,10 @@ impl Memory {
                     info!(epoch = place.epoch, frame = place.sequence, "goes on from its checkpoint");
                     return Ok(core);
                 }
-                Err(error) => drop(self.keeper.checkpoints().refuse(place, error.to_string())),
+                Err(error) => {
+                    self.keeper.checkpoints().refuse(place, error.to_string());
+                    refused += 1;
+                }
             }
         }
     }

@@ -317,6 +317,8 @@ impl Outbox {
     }
 }
 
+pub(crate) mod version_1;
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -25,7 +25,7 @@ fn new(text: &str) -> AlertState {
 }
 
 /// A second of estimates with these means and standard deviation 0.01.
-fn second_of(state: &mut AlertState, means: [f64; 2]) -> Vec<Alert> {
+pub(super) fn second_of(state: &mut AlertState, means: [f64; 2]) -> Vec<Alert> {
     let estimate = Estimate {
         mean: means.to_vec(),
         covariance: vec![1e-4, 0.0, 1e-4],
@@ -190,5 +190,5 @@ fn a_reference_that_was_learnt_ends_with_its_model() {
     assert_eq!(stands(&new(&other_loss).succeed(former.clone())), Some((Raised, 0.1)));
     let state = new(&learning.replace("mass-kg = 1000", "mass-kg = 1100")).succeed(former);
     assert_eq!(told(&state).iter().map(|told| told.0).collect::<Vec<_>>(), [Cleared, Learning]);
-    assert!(told(&state)[0].2.contains("is learnt anew, because the structure file was changed"));
+    assert!(told(&state)[0].2.contains("is learnt anew, because its rule or the model has changed"));
 }

@@ -20,7 +20,7 @@ pub struct NodeState {
 
 impl NodeState {
     /// Version of the layout: raised with every change of a field here or in the states below.
-    pub const VERSION: u16 = 1;
+    pub const VERSION: u16 = 2;
 }
 
 impl NodeIdentification {
