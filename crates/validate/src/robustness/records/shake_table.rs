@@ -2,11 +2,12 @@
 //!
 //! Source of the records and of the known values: the mini shake table of STAIRlab, and docs/laboratory-frame.md.
 
-use super::course::{Course, Point, Recorded};
+use super::course::{Course, Hindrance, Point, Recorded};
 use super::pairs::{Level, differences, share_up_to};
 use super::{RecordsError, Row, replaced};
 use spandrel_alert::{Baseline, BetweenRecords};
 use spandrel_structure::Structure;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 const STIFF: &str = include_str!("../../../../../docs/examples/shake-table-stiff.toml");
@@ -196,4 +197,9 @@ pub(super) fn summarise(row: &mut Row, courses: &[Course]) {
     let mean = |of: &dyn Fn(&Course) -> f64| courses.iter().map(of).sum::<f64>() / courses.len().max(1) as f64;
     row.verdicts = Some([0, 1, 2].map(|verdict| mean(&|course| course.verdict_shares()[verdict])));
     row.decided_share = Some(mean(&Course::decided_share));
+    let mut undecided: BTreeMap<Hindrance, f64> = BTreeMap::new();
+    for (hindrance, share) in courses.iter().flat_map(Course::hindrance_shares) {
+        *undecided.entry(hindrance).or_default() += share / courses.len() as f64;
+    }
+    row.undecided = undecided.into_iter().map(|(hindrance, share)| (hindrance.to_string(), share)).collect();
 }
