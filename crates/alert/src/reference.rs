@@ -105,8 +105,7 @@ impl Reference {
 
 /// Φ⁻¹, by way of the sum without a Student part.
 fn standard_normal_quantile(probability: f64) -> f64 {
-    let normal =
-        NormalPlusStudent { normal_std: 1.0, student_scale: 0.0, degrees_of_freedom: 1.0, largest_usual: 1.0 };
+    let normal = NormalPlusStudent { normal_std: 1.0, student_scale: 0.0, degrees_of_freedom: 1.0, largest_usual: 1.0 };
     normal.quantile(probability)
 }
 

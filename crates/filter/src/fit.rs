@@ -393,3 +393,65 @@ impl Default for ChannelFit {
         Self { largest_autocorrelation: 0.0, explained_share: 1.0, excitation_correlation: 0.0, noise_ratio: 1.0 }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SETTINGS: MisfitSettings = MisfitSettings {
+        block_steps: [5.0, 20.0, 100.0],
+        memory_steps: 1000.0,
+        start_steps: 0,
+        jump_threshold: 5.0,
+        jump_steps: 40,
+        lag_steps: 10,
+    };
+
+    /// Takes steps of a sine of which the innovations leave this share; the parameter is at `mean`, its prior 1 ± 0.2.
+    fn take(fit: &mut FitState, steps: std::ops::Range<u32>, left: f64, mean: f64) {
+        let (misfit, noise) = (MisfitState::new(1), DMatrix::from_element(1, 1, 1e-4));
+        for step in steps {
+            let observation = (f64::from(step) * 0.6).sin();
+            fit.take(
+                &SETTINGS,
+                &misfit,
+                Shown {
+                    observations: &[observation],
+                    innovations: &[left * observation],
+                    excitation: &[],
+                    noise: &noise,
+                    normalised_innovation_squared: 1.0,
+                    at_bound: false,
+                    parameters: [&[mean], &[1.0], &[0.2]],
+                },
+            );
+        }
+    }
+
+    fn started() -> FitState {
+        FitState::new(&SETTINGS, std::iter::once(1e-4), 0)
+    }
+
+    #[test]
+    fn parameter_far_from_its_prior_is_a_contradiction_only_where_the_motion_is_not_explained() {
+        for (left, verdict) in [(0.1, FitVerdict::Doubtful), (0.9, FitVerdict::Contradicted)] {
+            let mut fit = started();
+            take(&mut fit, 0..300, left, 0.1);
+            assert_eq!(fit.fit().verdict(), verdict, "{left} of the motion left");
+            assert!(fit.fit().reasons().any(|reason| reason == FitReason::FarFromPrior));
+        }
+    }
+
+    #[test]
+    fn forgotten_channels_leave_the_verdict_until_a_period_has_been_seen() {
+        let mut fit = started();
+        take(&mut fit, 0..300, 0.99, 1.0);
+        assert!(fit.explains_nothing(&SETTINGS) && fit.fit().verdict() == FitVerdict::Contradicted);
+        fit.forget_channels();
+        assert!(!fit.explains_nothing(&SETTINGS), "what is forgotten is no reason for another fresh start");
+        take(&mut fit, 300..309, 0.1, 1.0);
+        assert_eq!(fit.fit().verdict(), FitVerdict::Contradicted);
+        take(&mut fit, 309..330, 0.1, 1.0);
+        assert_ne!(fit.fit().verdict(), FitVerdict::Contradicted);
+    }
+}

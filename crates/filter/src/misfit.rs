@@ -137,7 +137,13 @@ pub struct MisfitState {
 impl MisfitState {
     pub(crate) fn new(parameters: usize) -> Self {
         let parameter = ParameterMisfit { scale: 1.0, ..ParameterMisfit::default() };
-        Self { parameters: vec![parameter; parameters], steps: 0, since_jump: None, starts_afresh: false, innovation_square: 1.0 }
+        Self {
+            parameters: vec![parameter; parameters],
+            steps: 0,
+            since_jump: None,
+            starts_afresh: false,
+            innovation_square: 1.0,
+        }
     }
 
     /// Returns the number of parameters.
@@ -321,5 +327,46 @@ impl Workspace {
                 covariance[(at, at)] += (1.0 - believed) * self.gains[j];
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SETTINGS: MisfitSettings = MisfitSettings {
+        block_steps: [5.0, 20.0, 100.0],
+        memory_steps: 1000.0,
+        start_steps: 0,
+        jump_threshold: 5.0,
+        jump_steps: 40,
+        lag_steps: 10,
+    };
+
+    /// A step of a parameter of variance 0.01 with this score, in deviations that a right model gives.
+    fn take(state: &mut MisfitState, score: f64) {
+        let scratch = Workspace {
+            scores: DVector::from_element(1, score),
+            information: DVector::from_element(1, 1.0),
+            ..Workspace::new(1)
+        };
+        state.take(&SETTINGS, &scratch, 1.0);
+    }
+
+    #[test]
+    fn fresh_start_believes_corrections_and_publishes_the_prior_until_it_ends() {
+        let mut state = MisfitState::new(1);
+        (0..2000).for_each(|_| take(&mut state, 4.0)); // a bias of four deviations a step
+        let (prior, before) = (0.04, 0.01);
+        assert!(state.weigh(0, &SETTINGS, 1.0, prior, (before, 1.0)) < 0.1, "misfit reduces corrections");
+        state.start_afresh(std::iter::once(prior));
+        for _ in 0..100 {
+            assert!(state.follows_jump(&SETTINGS) && !state.is_settled(&SETTINGS));
+            assert_eq!(state.weigh(0, &SETTINGS, 1.0, prior, (before, 1.0)), 1.0);
+            assert!(state.variance_scale(0) * before >= prior);
+            take(&mut state, 0.0);
+        }
+        assert!(!state.follows_jump(&SETTINGS), "it lasts for the longest sum");
+        assert_eq!(state.variance_ratio(0), 1.0, "the misfit of former values is forgotten");
     }
 }

@@ -113,11 +113,8 @@ fn bound_of_99_percent_is_nearly_kept_by_structures_that_scatter_much() {
         let between = Normal::new(1.0, scatter).unwrap();
         let mut exceeded = 0;
         for _ in 0..DRAWS {
-            let mut span = || SpanSummary {
-                mean: between.sample(&mut random),
-                estimate_variance: 1e-10,
-                drift_variance: 0.0,
-            };
+            let mut span =
+                || SpanSummary { mean: between.sample(&mut random), estimate_variance: 1e-10, drift_variance: 0.0 };
             let spans: Vec<SpanSummary> = (0..n).map(|_| span()).collect();
             let further = estimate(span().mean, 1e-5);
             let reference = join_spans("storey-1", &spans, BetweenRecords::Estimated).unwrap().reference(n).ok();
