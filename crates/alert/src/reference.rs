@@ -117,7 +117,7 @@ pub(crate) fn largest_usual_scatter(mean: f64) -> f64 {
 /// Share of the mean that the scatter between sound records rarely exceeds.
 ///
 /// Weak earthquakes of the highway bridge scatter by 5 % of its stiffness, motions of the laboratory frame by 5 %, and a year
-/// with frost by some 10 %. With two records and a true scatter of 10 %, a bound of 0.99 is exceeded by 2 % of sound records.
+/// with frost by some 10 %. With two records and a true scatter of 10 %, a bound of 0.99 is exceeded by 2.2 % of sound records.
 const LARGEST_USUAL_SHARE: f64 = 0.25;
 
 /// Least mean per standard deviation; above the quantile 1.96, so that every 95 % interval of a loss is finite.

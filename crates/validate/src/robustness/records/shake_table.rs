@@ -27,8 +27,7 @@ const LOSS: f64 = 0.83;
 const STIFFNESSES: [[f64; 3]; 2] = [[2720.0, 2300.0, 2360.0], [437.0, 392.0, 398.0]];
 
 /// The flexible walls are thinner, so that every floor carries less steel: what an owner knows who has replaced walls.
-const LIGHTER: (&str, &str) =
-    ("masses-kg = [0.2335, 0.2335, 0.1788]", "masses-kg = [0.1602, 0.1602, 0.1421]");
+const LIGHTER: (&str, &str) = ("masses-kg = [0.2335, 0.2335, 0.1788]", "masses-kg = [0.1602, 0.1602, 0.1421]");
 
 pub(super) fn folder(data: &Path) -> PathBuf {
     data.join("mini-shake-table/aligned")
