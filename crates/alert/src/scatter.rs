@@ -8,13 +8,13 @@
 //!
 //! P(X ≤ x) = ∫ p(w)·Φ(x/√(s² + τ²/w)) dw.
 //!
-//! A Student variable is what follows from a scatter σ = τ/√w of which nothing was known: its prior is 1/σ up to any size. With
-//! one degree of freedom half of its tail comes from scatters that no structure has. So the prior here is exp(−σ²/(2c²))/σ,
-//! which multiplies p(w) by exp(−τ²/(2c²w)). With many degrees of freedom, or τ far below c, this changes nothing.
+//! A Student variable supposes the prior 1/σ of the scatter σ = τ/√w, up to any size. With one degree of freedom its tail comes
+//! from scatters that no structure has. So the prior here is exp(−σ²/(2c²))/σ, which multiplies p(w) by exp(−τ²/(2c²w)). With
+//! many degrees of freedom, or τ far below c, this changes next to nothing.
 //!
 //! This is the distribution of Behrens and Fisher with one of its two variances known (R. A. Fisher, *The fiducial argument in
 //! statistical inference*, Ann. Eugenics 6 (1935), 391-398). The approximation of Welch and Satterthwaite, a Student variable
-//! of the same variance, was tried too: with two records its bound of 0.99 is exceeded by up to 4.7 % of sound records, while
+//! of the same variance, was tried too: with two records its bound of 0.99 is exceeded by up to 4.7 % of sound records. Without a bound on the scatter,
 //! this distribution stays at or below 1 %.
 
 use std::f64::consts::SQRT_2;
