@@ -14,8 +14,8 @@
 //!
 //! This is the distribution of Behrens and Fisher with one of its two variances known (R. A. Fisher, *The fiducial argument in
 //! statistical inference*, Ann. Eugenics 6 (1935), 391-398). The approximation of Welch and Satterthwaite, a Student variable
-//! of the same variance, was tried too: with two records its bound of 0.99 is exceeded by up to 4.7 % of sound records. Without a bound on the scatter,
-//! this distribution stays at or below 1 %.
+//! of the same variance, was tried too: with two records its bound of 0.99 is exceeded by up to 4.7 % of sound records.
+//! Without a bound on the scatter, this distribution stays at or below 1 %.
 
 use std::f64::consts::SQRT_2;
 
