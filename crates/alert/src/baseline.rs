@@ -12,6 +12,9 @@
 //! b² has the expectation σ_b² + v̄ and n − 1 degrees of freedom. A further record differs from m̄ by a Student variable with the
 //! scale b·√(1 + 1/n), and by its own uncertainty. b² holds v̄, which the further record counts again: that is the safe side.
 //!
+//! A sound structure rarely scatters by more than a quarter between records. With few degrees of freedom that bounds the tail of
+//! the Student variable (`scatter`).
+//!
 //! One record knows nothing of σ_b. The owner may state it: then a further record differs from m̄ by a normal variable with
 //! the variance σ_b²·(1 + 1/n) + v̄/n.
 
@@ -19,6 +22,7 @@ use serde::{Deserialize, Serialize};
 use spandrel_bus::CredibleInterval;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
+use crate::reference::largest_usual_scatter;
 use crate::scatter::NormalPlusStudent;
 use crate::{AlertError, Learning, ParameterEstimate, Reference, Scatter, SpanSummary};
 
@@ -166,7 +170,9 @@ impl Baseline {
             (between, Some(degrees_of_freedom)) => (estimate.std, between, degrees_of_freedom),
             (between, None) => (estimate.std.hypot(between), 0.0, 1.0),
         };
-        let half = NormalPlusStudent { normal_std, student_scale, degrees_of_freedom }.quantile(0.5 + LEVEL / 2.0);
+        let largest_usual = largest_usual_scatter(found.mean);
+        let sum = NormalPlusStudent { normal_std, student_scale, degrees_of_freedom, largest_usual };
+        let half = sum.quantile(0.5 + LEVEL / 2.0);
         Some(CredibleInterval { level: LEVEL, low: estimate.mean - half, high: estimate.mean + half })
     }
 

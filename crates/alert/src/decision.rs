@@ -105,7 +105,7 @@ enum Knowledge {
     Prior,
 }
 
-/// A restarted filter has measured something once its standard deviation is less than this share of the prior's.
+/// A filter has measured something once its standard deviation is less than this share of the prior's.
 const MEASURED_SHARE_OF_PRIOR: f64 = 0.5;
 
 impl Decision {
@@ -184,7 +184,7 @@ impl Decision {
     fn handle_estimate(&mut self, estimate: ParameterEstimate, flags: EstimateFlags, alerts: &mut Vec<Alert>) {
         let before_ns = self.last.map_or(estimate.time_ns, |(last, _)| last.time_ns);
         self.last = Some((estimate, flags));
-        if estimate.std < MEASURED_SHARE_OF_PRIOR * self.subject.prior_std {
+        if self.is_measured(&estimate) {
             self.knowledge = Knowledge::Measured;
         }
         self.jump.take(flags.follows_jump, estimate.time_ns);
@@ -235,9 +235,17 @@ impl Decision {
         let Stage::Watching { reference, .. } = &self.stage else {
             return None; // whether a loss would show depends on the reference
         };
-        let is_learnt =
-            self.knowledge == Knowledge::Measured && self.support.shows_losses(estimate, reference, &self.rule);
+        let excludes = || {
+            // a narrow prior excludes losses without any data
+            self.is_measured(estimate) && self.support.excludes_losses(estimate, reference, &self.rule)
+        };
+        let is_learnt = self.knowledge == Knowledge::Measured
+            && (self.support.shows_losses(estimate, reference, &self.rule) || excludes());
         (!is_learnt).then_some(UndecidedBecause::NothingLearnt)
+    }
+
+    fn is_measured(&self, estimate: &ParameterEstimate) -> bool {
+        estimate.std < MEASURED_SHARE_OF_PRIOR * self.subject.prior_std
     }
 
     /// Nothing is decided from now on: what was sustained starts anew, and what is raised has to be confirmed.

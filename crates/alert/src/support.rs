@@ -60,12 +60,29 @@ impl Support {
             let probability = probability_of_loss(estimate, reference, loss);
             probability >= rule.credibility()
         };
-        let slack = if self.because == Some(UndecidedBecause::NothingLearnt) { LEARNT_AGAIN } else { 1.0 };
-        let kept = (1.0 - 2.0 * loss).max(0.0);
-        let of_twice_the_loss =
-            ParameterEstimate { mean: kept * reference.mean(), std: slack * estimate.std, ..*estimate };
+        let mean = (1.0 - twice(rule)) * reference.mean();
+        let of_twice_the_loss = ParameterEstimate { mean, ..self.cautious(estimate) };
         is_credible(&of_twice_the_loss) || is_credible(estimate)
     }
+
+    /// Returns `true` if a loss of twice the rule's is excluded: its probability is at most 1 less the credibility.
+    ///
+    /// A sound structure is further from a loss of 2L than that loss is from L. So an estimate may exclude the loss although
+    /// it is too uncertain to raise it.
+    pub(crate) fn excludes_losses(&self, estimate: &ParameterEstimate, reference: &Reference, rule: &Rule) -> bool {
+        probability_of_loss(&self.cautious(estimate), reference, twice(rule)) <= 1.0 - rule.credibility()
+    }
+
+    /// The estimate with a larger deviation where the parameter has to be learnt again.
+    fn cautious(&self, estimate: &ParameterEstimate) -> ParameterEstimate {
+        let slack = if self.because == Some(UndecidedBecause::NothingLearnt) { LEARNT_AGAIN } else { 1.0 };
+        ParameterEstimate { std: slack * estimate.std, ..*estimate }
+    }
+}
+
+/// Twice the loss of a rule, at most everything.
+fn twice(rule: &Rule) -> f64 {
+    (2.0 * rule.loss()).min(1.0)
 }
 
 /// Returns `true` if an estimate rests on one of the bounds (ratios to nominal) of its parameter.
@@ -200,6 +217,19 @@ mod tests {
         let learnt = Reference::new(1.0, 0.03).unwrap();
         let shows = |std: f64| decided.shows_losses(&estimate(1.0, std), &learnt, &rule);
         assert!(shows(0.0105) && !shows(0.0110));
+    }
+
+    #[test]
+    fn sound_estimate_excludes_twice_the_rule_before_it_could_show_it() {
+        // A loss of 10 % is 0.1 away from the sound value: s = 0.1/1.644854 = 0.060796.
+        let rule = Rule::new(0.05, 0.95, 0.5, 10.0).unwrap();
+        let excludes =
+            |support: &Support, std: f64| support.excludes_losses(&estimate(1.0, std), &Reference::DESIGN, &rule);
+        let decided = Support::default();
+        assert!(excludes(&decided, 0.0607) && !excludes(&decided, 0.0609));
+        assert!(!decided.shows_losses(&estimate(1.0, 0.0607), &Reference::DESIGN, &rule));
+        let undecided = Support { because: Some(UndecidedBecause::NothingLearnt), otherwise_since_ns: None };
+        assert!(!excludes(&undecided, 0.0607) && excludes(&undecided, 0.0607 / 1.1));
     }
 
     #[test]

@@ -111,6 +111,16 @@ struct Limits {
     contradicted: f64,
 }
 
+impl Limits {
+    /// Returns limits beyond which there is doubt, and never a contradiction.
+    fn for_doubt(self) -> Self {
+        Self { contradicted: f64::INFINITY, ..self }
+    }
+}
+
+/// Share of every channel that a model explains whose parameters are where the data put them, however far that is from the
+/// prior.
+const WELL_EXPLAINED: f64 = 0.5;
 /// Ratio of the long-run variance of the scores to their information: the intervals are widened by it.
 const WANDERING: Limits = Limits { doubtful: 3.0, contradicted: f64::INFINITY };
 /// Noise found over noise stated, as standard deviations. What matters is its share of the motion.
@@ -122,9 +132,11 @@ const UNEXPLAINED: Limits = Limits { doubtful: 0.1, contradicted: 0.9 };
 const CORRELATION: Limits = Limits { doubtful: 0.3, contradicted: f64::INFINITY };
 /// Correlation of the innovations with the excitation: the intervals are widened for what it does to the parameters.
 const WITH_EXCITATION: Limits = Limits { doubtful: 0.3, contradicted: f64::INFINITY };
-/// Prior deviations by which a parameter exceeds its prior mean: no event stiffens a structure so.
+/// Prior deviations by which a parameter exceeds its prior mean: no event stiffens a structure so. Where the motion is well
+/// explained, the number of the file is wrong.
 const STIFFER: Limits = Limits { doubtful: 3.0, contradicted: 4.0 };
-/// Factor by which a parameter falls below its prior mean. Severe damage reaches five; ten is a mistake of units.
+/// Factor by which a parameter falls below its prior mean. Severe damage reaches six; ten is a mistake of units. Where the
+/// motion is well explained, a loss against a reference has a meaning in both cases.
 const SOFTER: Limits = Limits { doubtful: 4.0, contradicted: 8.0 };
 /// Normalised innovation squared per channel, over a period.
 const BURST: Limits = Limits { doubtful: 4.0, contradicted: 16.0 };
@@ -219,6 +231,21 @@ impl FitState {
         &self.fits
     }
 
+    /// Returns `true` if the model explains next to nothing of a channel, as seen over a fundamental period or longer.
+    pub(crate) fn explains_nothing(&self, settings: &MisfitSettings) -> bool {
+        let channels = self.channels.iter().zip(&self.fits).filter(|(channel, _)| channel.is_judged(settings));
+        { channels }.any(|(_, measures)| 1.0 - measures.explained_share > UNEXPLAINED.contradicted)
+    }
+
+    /// Forgets what the channels have shown: the parameters are looked for afresh. The verdict stays until they have shown
+    /// something else.
+    pub(crate) fn forget_channels(&mut self) {
+        for channel in &mut self.channels {
+            channel.forget();
+        }
+        self.excitation_square.fill(0.0);
+    }
+
     /// Returns the number of values remembered; 0 where the lengths disagree, as in a damaged checkpoint.
     pub(crate) fn remembered_len(&self) -> usize {
         let (channels, inputs) = (self.channels.len(), self.excitation_square.len());
@@ -274,7 +301,9 @@ impl FitState {
                 }
             }
         }
-        self.judge(misfit, &shown);
+        if self.channels.iter().any(|channel| channel.is_judged(settings)) {
+            self.judge(misfit, &shown);
+        }
     }
 
     fn judge(&mut self, misfit: &MisfitState, shown: &Shown<'_>) {
@@ -289,10 +318,12 @@ impl FitState {
         for j in 0..misfit.parameter_len() {
             fit.judge(FitReason::WanderingParameters, misfit.variance_ratio(j), WANDERING);
         }
+        let explained = self.fits.iter().map(|measures| measures.explained_share).fold(1.0, f64::min);
+        let far = |limits: Limits| if explained >= WELL_EXPLAINED { limits.for_doubt() } else { limits };
         let [means, prior_means, prior_stds] = shown.parameters;
         for ((mean, prior_mean), prior_std) in means.iter().zip(prior_means).zip(prior_stds) {
-            fit.judge(FitReason::FarFromPrior, (mean - prior_mean) / prior_std, STIFFER);
-            fit.judge(FitReason::FarFromPrior, prior_mean / mean, SOFTER);
+            fit.judge(FitReason::FarFromPrior, (mean - prior_mean) / prior_std, far(STIFFER));
+            fit.judge(FitReason::FarFromPrior, prior_mean / mean, far(SOFTER));
         }
         fit.judge(FitReason::ParameterAtBound, self.at_bound, AT_BOUND);
         fit.judge(FitReason::InnovationBurst, self.burst, BURST);
@@ -307,6 +338,18 @@ fn lags(settings: &MisfitSettings) -> &'static [usize] {
 }
 
 impl ChannelState {
+    /// Returns `true` once a fundamental period has been seen.
+    fn is_judged(&self, settings: &MisfitSettings) -> bool {
+        // the weight of a sum that fades stays below its memory
+        self.weight >= (settings.lag_steps as f64).min(0.5 * settings.memory_steps)
+    }
+
+    fn forget(&mut self) {
+        (self.observation, self.observation_square, self.square, self.weight) = (0.0, 0.0, 0.0, 0.0);
+        self.lagged.fill(0.0);
+        self.with_excitation.fill(0.0);
+    }
+
     fn measures(&self, noise: f64, excitation_square: &[f64]) -> ChannelFit {
         // innovations below the stated noise are a quiet structure, whatever their colour
         let own_square = self.square.max(self.stated_noise * self.weight);
@@ -348,5 +391,67 @@ pub struct ChannelFit {
 impl Default for ChannelFit {
     fn default() -> Self {
         Self { largest_autocorrelation: 0.0, explained_share: 1.0, excitation_correlation: 0.0, noise_ratio: 1.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SETTINGS: MisfitSettings = MisfitSettings {
+        block_steps: [5.0, 20.0, 100.0],
+        memory_steps: 1000.0,
+        start_steps: 0,
+        jump_threshold: 5.0,
+        jump_steps: 40,
+        lag_steps: 10,
+    };
+
+    /// Takes steps of a sine of which the innovations leave this share; the parameter is at `mean`, its prior 1 ± 0.2.
+    fn take(fit: &mut FitState, steps: std::ops::Range<u32>, left: f64, mean: f64) {
+        let (misfit, noise) = (MisfitState::new(1), DMatrix::from_element(1, 1, 1e-4));
+        for step in steps {
+            let observation = (f64::from(step) * 0.6).sin();
+            fit.take(
+                &SETTINGS,
+                &misfit,
+                Shown {
+                    observations: &[observation],
+                    innovations: &[left * observation],
+                    excitation: &[],
+                    noise: &noise,
+                    normalised_innovation_squared: 1.0,
+                    at_bound: false,
+                    parameters: [&[mean], &[1.0], &[0.2]],
+                },
+            );
+        }
+    }
+
+    fn started() -> FitState {
+        FitState::new(&SETTINGS, std::iter::once(1e-4), 0)
+    }
+
+    #[test]
+    fn parameter_far_from_its_prior_is_a_contradiction_only_where_the_motion_is_not_explained() {
+        for (left, verdict) in [(0.1, FitVerdict::Doubtful), (0.9, FitVerdict::Contradicted)] {
+            let mut fit = started();
+            take(&mut fit, 0..300, left, 0.1);
+            assert_eq!(fit.fit().verdict(), verdict, "{left} of the motion left");
+            assert!(fit.fit().reasons().any(|reason| reason == FitReason::FarFromPrior));
+        }
+    }
+
+    #[test]
+    fn forgotten_channels_leave_the_verdict_until_a_period_has_been_seen() {
+        let mut fit = started();
+        take(&mut fit, 0..300, 0.99, 1.0);
+        assert!(fit.explains_nothing(&SETTINGS) && fit.fit().verdict() == FitVerdict::Contradicted);
+        fit.forget_channels();
+        assert!(!fit.explains_nothing(&SETTINGS), "what is forgotten is no reason for another fresh start");
+        take(&mut fit, 300..309, 0.1, 1.0);
+        assert_eq!(fit.fit().verdict(), FitVerdict::Contradicted);
+        take(&mut fit, 309..330, 0.1, 1.0);
+        assert_ne!(fit.fit().verdict(), FitVerdict::Contradicted);
     }
 }

@@ -237,8 +237,10 @@ fn reference_that_is_too_uncertain_is_learnt_on() {
     drive.estimates(0..20, 0.9, 0.5);
     assert_eq!(drive.states(), [(Learns, 0)]);
     drive.estimates(20..30, 0.9, 0.01);
-    // against 0.9 ± 0.05 no estimate shows a loss of 10 %
-    assert_eq!(drive.states()[1..], [(Normal, 20), (Undecided, 22)]);
+    // against 0.9 ± 0.05 no estimate shows a loss of 10 %, but 0.9 excludes it: Φ((0.9 − 0.81)/√(0.01² + 0.045²)) = 0.975
+    assert_eq!(drive.states()[1..], [(Normal, 20)]);
+    drive.estimates(30..40, 0.85, 0.01); // Φ(0.04/0.046) = 0.81
+    assert_eq!(drive.states()[2..], [(Undecided, 31)]);
 }
 
 #[test]

@@ -2,11 +2,12 @@
 
 use super::RecordsError;
 use spandrel_alert::{Alert, Baseline, RecordSummary, ReferenceRule, Watch};
-use spandrel_bus::{AlertState, EstimateBlock, FitVerdict, FrameBlock, Phase};
+use spandrel_bus::{AlertState, EstimateBlock, FitVerdict, FrameBlock, Phase, UndecidedBecause};
 use spandrel_identify::{Identification, Input, Output};
 use spandrel_ingest::{Alignment, Layout};
 use spandrel_sensor::{Clocks, Cutter, NodePlan, Row, open_record, recorded_rows};
 use spandrel_structure::Structure;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Samples of a block of `spandrel estimate`.
@@ -53,8 +54,23 @@ pub(super) struct Point {
     pub(super) moves: bool,
     /// The noise levels are trained: the estimate may be used.
     pub(super) works: bool,
-    /// A rule has decided on each parameter that it watches.
-    pub(super) is_decided: bool,
+    /// Why a rule has not decided on one of its parameters; `None` where rules have decided on all of them.
+    pub(super) hindrance: Option<Hindrance>,
+}
+
+/// What keeps a rule from deciding on a parameter.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Hindrance {
+    /// `None` while the reference is being learnt.
+    pub(super) because: Option<UndecidedBecause>,
+    /// Name of the first parameter without a decision.
+    pub(super) parameter: String,
+}
+
+impl std::fmt::Display for Hindrance {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} of {}", self.because.map_or("learning", UndecidedBecause::as_str), self.parameter)
+    }
 }
 
 /// The estimates and alerts of one record.
@@ -113,17 +129,29 @@ impl Course {
 
     /// Shares of the moving points with a verdict of supported, doubtful and contradicted.
     pub(super) fn verdict_shares(&self) -> [f64; 3] {
-        let moving = || self.points.iter().filter(|point| point.moves);
-        let share = |verdict| {
-            moving().filter(|point| point.verdict == Some(verdict)).count() as f64 / moving().count().max(1) as f64
-        };
+        let share = |verdict| self.moving_share(|point| point.verdict == Some(verdict));
         [FitVerdict::Supported, FitVerdict::Doubtful, FitVerdict::Contradicted].map(share)
     }
 
-    /// Share of the moving points with a decision.
+    /// Share of the moving points with a decision on every parameter.
     pub(super) fn decided_share(&self) -> f64 {
-        let moving = || self.points.iter().filter(|point| point.moves);
-        moving().filter(|point| point.is_decided).count() as f64 / moving().count().max(1) as f64
+        self.moving_share(|point| point.hindrance.is_none())
+    }
+
+    /// Share of the moving points without a decision, for each hindrance.
+    pub(super) fn hindrance_shares(&self) -> BTreeMap<Hindrance, f64> {
+        let found: BTreeSet<Hindrance> = self.moving().filter_map(|point| point.hindrance.clone()).collect();
+        let share = |one: &Hindrance| self.moving_share(|point| point.hindrance.as_ref() == Some(one));
+        found.into_iter().map(|one| (share(&one), one)).map(|(share, one)| (one, share)).collect()
+    }
+
+    fn moving(&self) -> impl Iterator<Item = &Point> {
+        self.points.iter().filter(|point| point.moves)
+    }
+
+    /// Share of the moving points that fulfil a condition; 0 without motion.
+    fn moving_share(&self, condition: impl Fn(&Point) -> bool) -> f64 {
+        self.moving().filter(|point| condition(point)).count() as f64 / self.moving().count().max(1) as f64
     }
 
     /// What `spandrel baseline --skip` learns from this record.
@@ -194,7 +222,8 @@ impl Chain {
         let tells = |state| matches!(state, AlertState::Raised | AlertState::Acknowledged | AlertState::Cleared);
         let told = alerts.into_iter().filter(|alert| tells(alert.state));
         self.alerts.extend(told.map(|alert| (since_start_s(alert.estimate.time_ns), alert)));
-        let is_decided = self.watch.decisions().iter().all(is_decided);
+        let hindrance = self.watch.decisions().iter().find_map(hindrance);
+        let in_training = || self.watch.decisions().first().map(without_levels);
         let Some(grid) = block.grid() else { return Ok(()) };
         for (number, estimate) in block.iter() {
             let std = |index| estimate.variance(index).unwrap_or(0.0).max(0.0).sqrt();
@@ -206,7 +235,7 @@ impl Chain {
                 verdict: estimate.flags.fit,
                 moves: self.moves.pop_front().unwrap_or(false),
                 works,
-                is_decided: works && is_decided,
+                hindrance: hindrance.clone().or_else(|| in_training().filter(|_| !works)),
             });
         }
         Ok(())
@@ -222,14 +251,20 @@ impl Chain {
     }
 }
 
-/// Returns `true` if a rule has compared the parameter with its reference.
-fn is_decided(decision: &spandrel_alert::Decision) -> bool {
+/// Returns what keeps a rule from comparing its parameter with the reference.
+fn hindrance(decision: &spandrel_alert::Decision) -> Option<Hindrance> {
     let is_learning = match decision.last_alert() {
         Some(alert) => alert.state == AlertState::Learning,
         // what is learnt is announced from the start; a known reference is compared without a word
         None => matches!(decision.rule().reference(), ReferenceRule::Learnt { .. }),
     };
-    !is_learning && decision.undecided_because().is_none()
+    let because = decision.undecided_because();
+    (is_learning || because.is_some()).then(|| Hindrance { because, parameter: decision.subject().name.clone() })
+}
+
+/// Returns the hindrance of a frame in training, which the decision states only once it has lasted.
+fn without_levels(decision: &spandrel_alert::Decision) -> Hindrance {
+    Hindrance { because: Some(UndecidedBecause::NoiseTraining), parameter: decision.subject().name.clone() }
 }
 
 /// Cuts a block so that the state of a decision can be read in between.

@@ -15,8 +15,11 @@ pub struct Row {
     pub coverage: Option<f64>,
     /// Shares of the motion with the verdicts supported, doubtful and contradicted.
     pub verdicts: Option<[f64; 3]>,
-    /// Share of the motion with a decision.
+    /// Share of the motion with a decision on every parameter.
     pub decided_share: Option<f64>,
+    /// Shares of the motion without a decision, by the reason and the first parameter without one.
+    #[serde(default)]
+    pub undecided: Vec<(String, f64)>,
     /// What is required, in words.
     pub required: String,
     /// Whether that holds; `None` where nothing is required, or where the records are missing.
@@ -35,6 +38,7 @@ impl Row {
             coverage: None,
             verdicts: None,
             decided_share: None,
+            undecided: Vec::new(),
             required: required.into(),
             passed: None,
             seen: String::new(),
@@ -73,6 +77,11 @@ impl std::fmt::Display for Row {
             percent(self.coverage),
             percent(self.decided_share)
         )?;
+        if !self.undecided.is_empty() {
+            let shares: Vec<String> =
+                self.undecided.iter().map(|(why, share)| format!("{why} {:.0} %", 100.0 * share)).collect();
+            writeln!(f, "    without a decision: {}", shares.join(", "))?;
+        }
         write!(f, "    {}", self.seen.trim_end().replace("; ", "\n    "))
     }
 }
