@@ -46,7 +46,7 @@ fn laboratory_frame_goes_as_the_page_says() {
             page.have(&records.join(format!("aligned/{state}-{motion}.csv")));
         }
     }
-    assert_eq!(page.follow(here), 9);
+    assert_eq!(page.follow(here), 11);
     for state in ["stiff", "flexible"] {
         let name = format!("{state}-northridge.csv");
         let kept = std::fs::read_to_string(records.join("aligned").join(&name)).unwrap();
@@ -58,11 +58,24 @@ fn laboratory_frame_goes_as_the_page_says() {
 fn highway_bridge_goes_as_the_page_says() {
     let Some(records) = records("painter-street-bridge") else { return };
     let page = Page::open("highway-bridge.md");
-    for event in ["RioDell_14Sep2012_71842255", "ferndale_28jan2015_72387946", "nc73821036", "nc73821636", "nc73943821"]
-    {
+    let events = [
+        "petroliaaftershock1_26apr1992",
+        "RioDell_14Sep2012_71842255",
+        "bayview_11oct2013_72086051",
+        "riodell_19oct2014_72330211",
+        "ferndale_28jan2015_72387946",
+        "petrolia_05dec2016_72733405",
+        "ferndaleoffshore_08dec2016_us20007z6r",
+        "nc73666231",
+        "nc73667866",
+        "nc73821036",
+        "nc73821636",
+        "nc73943821",
+    ];
+    for event in events {
         page.have(&records.join(format!("{event}_ce89324p.zip")));
     }
-    assert_eq!(page.follow(here), 10);
+    assert_eq!(page.follow(here), 12);
 }
 
 /// The subscriber of docs/topics.md. It asks at the usual address, so that it has a network of its own.

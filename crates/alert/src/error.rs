@@ -56,8 +56,9 @@ pub enum AlertError {
     OneRecord,
     /// The scatter between records is too large to be known from so few of them.
     #[error(
-        "mean is {mean:.4} and scatter between records {std:.4} with {degrees_of_freedom} degrees of freedom: a sound \
-         value of zero cannot be excluded; use more records, or state the scatter with --between-std"
+        "{} records of mean {mean:.4} that scatter by {std:.4} do not exclude a sound value of zero; use more records, or \
+         state the scatter with --between-std",
+        degrees_of_freedom + 1.0
     )]
     FewRecords {
         /// Mean of the records, ratio to nominal.

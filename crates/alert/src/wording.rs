@@ -84,14 +84,31 @@ pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert, before: Op
 fn undecided(because: UndecidedBecause, alert: &Alert) -> String {
     match because {
         UndecidedBecause::FitContradicted => fit_in_words(FitVerdict::Contradicted, alert.fit_reasons),
-        UndecidedBecause::NoiseTraining
-        | UndecidedBecause::ExcitationSilent
-        | UndecidedBecause::ParameterAtBound
-        | UndecidedBecause::NothingLearnt => {
+        UndecidedBecause::NothingLearnt => nothing_learnt(because, alert),
+        UndecidedBecause::NoiseTraining | UndecidedBecause::ExcitationSilent | UndecidedBecause::ParameterAtBound => {
             let ParameterEstimate { mean, std, .. } = alert.estimate;
             format!("{} (estimate {mean:.3} ± {std:.3})", because.words())
         }
     }
+}
+
+/// What is too uncertain: the estimate, or a reference that hides the loss from the best estimate too.
+fn nothing_learnt(because: UndecidedBecause, alert: &Alert) -> String {
+    let ParameterEstimate { mean, std, .. } = alert.estimate;
+    let Some(reference) = &alert.reference else {
+        return format!("{} (estimate {mean:.3} ± {std:.3})", because.words());
+    };
+    let twice = (2.0 * alert.rule_loss).min(1.0);
+    let best = reference.largest_credible(alert.rule_loss, alert.rule_credibility);
+    let is_estimate = best.is_some_and(|largest| largest >= (1.0 - twice) * reference.mean());
+    let what = match (is_estimate, reference.scatter()) {
+        (true, _) => "the estimate is",
+        (false, Some(_)) => "the reference, from few records, is",
+        (false, None) => "the reference is",
+    };
+    let shown = format!("a loss of {}", percent(twice));
+    let (sound, scatter) = (reference.mean(), reference.std());
+    format!("{what} too uncertain to show {shown} (estimate {mean:.3} ± {std:.3}, reference {sound:.3} ± {scatter:.3})")
 }
 
 /// A loss that is still moving: what is gone at least.

@@ -21,7 +21,7 @@ use serde::Serialize;
 use spandrel_alert::{Alert, Baseline, DecidedFrames, ParameterEstimate, Watch};
 use spandrel_bus::{
     AlertMessage, AlertState, CredibleInterval, EstimateBlock, FrameBlock, ModelClassDisplay, NodeDisplay,
-    OutlierDisplay, Phase,
+    OutlierDisplay, Phase, UndecidedBecause,
 };
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
@@ -47,6 +47,9 @@ pub struct Summary {
     pub misfit: Option<f64>,
     /// What people should look into.
     pub warnings: Vec<String>,
+    /// Whether alerts of a watched parameter are not decided at the end; a warning says why.
+    #[serde(skip)]
+    pub ends_undecided: bool,
     /// How the model classes stand at the end, and what they went through; none where there is one model.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub classes: Option<ClassSummary>,
@@ -124,6 +127,24 @@ pub struct AlertSummary {
     pub why: String,
 }
 
+/// Why nothing is decided at the end.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+enum Undecided {
+    /// The data contradict the model, and no alert stands: parameters share this sentence.
+    Contradicted,
+    /// Another reason, or an alert that stands: the sentence.
+    Other(String),
+}
+
+impl Undecided {
+    fn new(state: AlertState, because: UndecidedBecause, why: &str) -> Self {
+        match (state, because) {
+            (AlertState::Undecided, UndecidedBecause::FitContradicted) => Self::Contradicted,
+            _ => Self::Other(why.to_owned()),
+        }
+    }
+}
+
 /// Collects a summary from what the services say.
 #[derive(Debug, Clone)]
 pub struct Collector {
@@ -139,8 +160,8 @@ pub struct Collector {
     alerts: Vec<(i64, AlertSummary)>,
     fit: FitCollector,
     decided: Vec<(usize, DecidedFrames)>,
-    /// Why nothing is decided at the end, by parameter.
-    undecided: BTreeMap<String, String>,
+    /// Parameters on which nothing is decided at the end.
+    undecided: BTreeMap<String, Undecided>,
     /// sum of the normalised innovations squared, and of the channels used
     misfit: (f64, f64),
     samples: Option<Samples>,
@@ -232,8 +253,8 @@ impl Collector {
     /// Takes a change of an alert from the bus.
     pub fn take_message(&mut self, message: &AlertMessage) {
         let parameter = message.parameter.to_string();
-        let because = message.undecided_because.map(|_| message.why.as_str());
-        self.note_undecided(&parameter, because);
+        let undecided = message.undecided_because.map(|because| Undecided::new(message.state, because, &message.why));
+        self.note_undecided(&parameter, undecided);
         let told = |loss| AlertSummary {
             parameter,
             state: message.state,
@@ -252,8 +273,8 @@ impl Collector {
         let Some(parameter) = self.parameters.get(alert.parameter).cloned() else {
             return; // the core knows no other parameters
         };
-        let because = alert.undecided_because.map(|_| alert.why.as_str());
-        self.note_undecided(&parameter, because);
+        let undecided = alert.undecided_because.map(|because| Undecided::new(alert.state, because, &alert.why));
+        self.note_undecided(&parameter, undecided);
         let told = |loss| AlertSummary {
             parameter,
             state: alert.state,
@@ -267,11 +288,32 @@ impl Collector {
         self.take(alert.estimate.time_ns, alert.loss.map(|estimate| told(estimate.loss)));
     }
 
-    fn note_undecided(&mut self, parameter: &str, why: Option<&str>) {
-        match why {
-            Some(why) => drop(self.undecided.insert(parameter.to_owned(), why.to_owned())),
+    fn note_undecided(&mut self, parameter: &str, undecided: Option<Undecided>) {
+        match undecided {
+            Some(undecided) => drop(self.undecided.insert(parameter.to_owned(), undecided)),
             None => drop(self.undecided.remove(parameter)),
         }
+    }
+
+    /// What is not decided at the end, a sentence for each reason.
+    fn undecided_warnings(&self) -> Vec<String> {
+        let none_of = |names: &[&str], why: &str| {
+            (!names.is_empty()).then(|| format!("no alert of {} is decided: {why}", names.join(", ")))
+        };
+        let contradicted = self.parameters.iter().map(String::as_str);
+        let contradicted: Vec<&str> =
+            contradicted.filter(|name| self.undecided.get(*name) == Some(&Undecided::Contradicted)).collect();
+        let learning = self.decided.iter().filter(|(_, frames)| frames.frames() == 0);
+        let learning = learning.filter_map(|(parameter, _)| self.parameters.get(*parameter));
+        let learning: Vec<&str> =
+            learning.filter(|name| !self.undecided.contains_key(*name)).map(String::as_str).collect();
+        let others = self.undecided.values().filter_map(|undecided| match undecided {
+            Undecided::Other(why) => Some(why.clone()),
+            Undecided::Contradicted => None,
+        });
+        let shared = none_of(&contradicted, UndecidedBecause::FitContradicted.words());
+        let shared = shared.into_iter().chain(none_of(&learning, "the reference was still being learnt at the end"));
+        shared.chain(others).collect()
     }
 
     fn take(&mut self, time_ns: i64, told: Option<AlertSummary>) {
@@ -321,8 +363,10 @@ impl Collector {
         }
         let warnings = self.noise.iter().zip(noise.values()).filter_map(|(stated, found)| stated.warning(found));
         let fit = self.fit.finish();
-        let warnings = warnings.chain(fit.as_ref().and_then(FitSummary::warning)).chain(self.undecided.into_values());
-        let warnings = warnings.collect();
+        let warnings = warnings.chain(fit.as_ref().and_then(FitSummary::warning));
+        let undecided = self.undecided_warnings();
+        let ends_undecided = !undecided.is_empty();
+        let warnings = warnings.chain(undecided).collect();
         let mut decided = Ordered::default();
         for (parameter, frames) in &self.decided {
             if let (Some(name), Some(summary)) = (self.parameters.get(*parameter), DecidedSummary::of(frames)) {
@@ -344,6 +388,7 @@ impl Collector {
             decided,
             misfit,
             warnings,
+            ends_undecided,
             classes: self.classes.finish(t0_ns),
             nodes: self.nodes.finish(),
             samples: self.samples,

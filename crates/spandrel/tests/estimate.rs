@@ -140,7 +140,7 @@ fn simulated_record_is_read_with_the_same_file() {
 fn channels_that_are_swapped_are_warned_of() {
     let folder = tempfile::tempdir().unwrap();
     let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
-    simulate(&structure, &record, "40");
+    simulate(&structure, &record, "55"); // long enough to learn the reference, and before the damage
     let sound = summary(&structure, &record, &[]);
     assert_eq!(sound["warnings"], serde_json::json!([]));
     let floors = &sound["noise"]["floors"];
@@ -154,6 +154,17 @@ fn channels_that_are_swapped_are_warned_of() {
     println!("misfit {}, noise {}", told["misfit"], told["noise"]["floors"]);
     let warning = told["warnings"][0].as_str().unwrap();
     assert!(warning.starts_with("noise of floors is ") && warning.contains("a channel swapped"), "{warning}");
+}
+
+#[test]
+fn record_that_ends_before_the_reference_is_known_is_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
+    simulate(&structure, &record, "40");
+    let told = summary(&structure, &record, &[]);
+    let storeys = "storey-1, storey-2, storey-3, storey-4, storey-5";
+    let warning = format!("no alert of {storeys} is decided: the reference was still being learnt at the end");
+    assert_eq!(told["warnings"], serde_json::json!([warning]));
 }
 
 #[test]

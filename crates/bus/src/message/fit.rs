@@ -191,7 +191,7 @@ pub enum UndecidedBecause {
     FitContradicted,
     /// The estimate rests on a bound of the parameter.
     ParameterAtBound,
-    /// The estimate is so uncertain that a loss of twice the rule's would not be raised.
+    /// The estimate or its reference is so uncertain that a loss of twice the rule's would not be raised.
     NothingLearnt,
 }
 
@@ -225,7 +225,7 @@ impl UndecidedBecause {
             Self::ExcitationSilent => "a measured excitation delivers no samples that can be used",
             Self::FitContradicted => FitVerdict::Contradicted.words(),
             Self::ParameterAtBound => "the estimate rests on a bound of the parameter",
-            Self::NothingLearnt => "the estimate is too uncertain to show a loss of twice the rule's",
+            Self::NothingLearnt => "the estimate or its reference is too uncertain to show twice the loss of the rule",
         }
     }
 }

@@ -26,13 +26,34 @@ impl DecidedSummary {
 
     /// The shares in words: `decided 98.2 % of the time; undecided 1.8 %: the data contradict the model`.
     pub(super) fn words(&self) -> String {
-        let mut text = format!("decided {} of the time", percent(self.share));
-        for (index, (because, share)) in self.undecided.iter().enumerate() {
-            let separator = if index == 0 { "; undecided " } else { ", " };
-            text.push_str(&format!("{separator}{}: {}", percent(*share), because.words()));
-        }
-        text
+        Self::words_of(std::slice::from_ref(self)).unwrap_or_default()
     }
+
+    /// The shares of several parameters with the same reasons in words, the lowest and the highest of each; `None` where
+    /// reasons differ.
+    pub(super) fn words_of(all: &[Self]) -> Option<String> {
+        let first = all.first()?;
+        if !all.iter().all(|summary| summary.undecided.keys().eq(first.undecided.keys())) {
+            return None;
+        }
+        let mut text = format!("decided {} of the time", range(all.iter().map(|summary| summary.share)));
+        for (index, because) in first.undecided.keys().enumerate() {
+            let separator = if index == 0 { "; undecided " } else { ", " };
+            let shares = range(all.iter().filter_map(|summary| summary.undecided.get(because)).copied());
+            text.push_str(&format!("{separator}{shares}: {}", because.words()));
+        }
+        Some(text)
+    }
+}
+
+/// The lowest and the highest share: `93.7 to 97.3 %`.
+fn range(shares: impl Iterator<Item = f64>) -> String {
+    let (low, high) = shares.fold((1.0, 0.0), |(low, high): (f64, f64), share| (low.min(share), high.max(share)));
+    let (low, high) = (percent(low), percent(high));
+    if low == high {
+        return low;
+    }
+    format!("{} to {high}", low.strip_suffix(" %").unwrap_or(&low))
 }
 
 #[cfg(test)]
@@ -45,9 +66,22 @@ mod tests {
         let summary = DecidedSummary { share: 0.882, undecided };
         assert_eq!(
             summary.words(),
-            "decided 88.2 % of the time; undecided 1.8 %: the data contradict the model, 10 %: the estimate is too \
-             uncertain to show a loss of twice the rule's"
+            "decided 88.2 % of the time; undecided 1.8 %: the data contradict the model, 10 %: the estimate or its \
+             reference is too uncertain to show twice the loss of the rule"
         );
         assert_eq!(DecidedSummary::of(&DecidedFrames::default()), None);
+    }
+
+    #[test]
+    fn parameters_with_the_same_reasons_share_a_sentence() {
+        let summary = |share, because| DecidedSummary { share, undecided: [(because, 1.0 - share)].into() };
+        let training = UndecidedBecause::NoiseTraining;
+        let alike = [summary(0.95, training), summary(0.935, training)];
+        assert_eq!(
+            DecidedSummary::words_of(&alike).as_deref(),
+            Some("decided 93.5 to 95 % of the time; undecided 5 to 6.5 %: the filter still learns its noise levels")
+        );
+        let differing = [summary(0.95, training), summary(0.95, UndecidedBecause::FitContradicted)];
+        assert_eq!(DecidedSummary::words_of(&differing), None);
     }
 }

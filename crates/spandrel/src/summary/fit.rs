@@ -39,10 +39,11 @@ impl FitCollector {
 }
 
 impl FitSummary {
-    /// Says that the estimates have no meaning, where the data contradict the model at the end.
+    /// Says that the estimates have no meaning, where the data contradict the model at the end. The reasons are on the line of
+    /// the verdict.
     pub(super) fn warning(&self) -> Option<String> {
         let is_contradicted = self.verdict == FitVerdict::Contradicted;
-        is_contradicted.then(|| format!("{}; the estimates have no meaning", fit_in_words(self.verdict, self.reasons)))
+        is_contradicted.then(|| format!("{}; the estimates have no meaning", self.verdict.words()))
     }
 
     /// The verdict with its reasons, and the share of each: `doubtful at the end (…); supported 90 % of the time`.
@@ -54,9 +55,14 @@ impl FitSummary {
     }
 }
 
-/// A share in per cent with one decimal, without one where it is whole.
+/// A share in per cent with one decimal, without one where it is whole; what is less than nothing and all is no 0 and 100 %.
 pub(super) fn percent(share: f64) -> String {
     let text = format!("{:.1}", 100.0 * share);
+    match text.as_str() {
+        "0.0" if share > 0.0 => return "below 0.1 %".to_owned(),
+        "100.0" if share < 1.0 => return "above 99.9 %".to_owned(),
+        _ => {}
+    }
     format!("{} %", text.strip_suffix(".0").unwrap_or(&text))
 }
 
@@ -64,6 +70,14 @@ pub(super) fn percent(share: f64) -> String {
 mod tests {
     use super::*;
     use spandrel_bus::FitReason;
+
+    #[test]
+    fn small_and_large_shares_are_told_from_none_and_all() {
+        assert_eq!(
+            [0.0, 0.0004, 0.0006, 0.5, 0.9996, 1.0].map(percent),
+            ["0 %", "below 0.1 %", "0.1 %", "50 %", "above 99.9 %", "100 %"]
+        );
+    }
 
     #[test]
     fn verdict_is_that_of_the_end_with_the_share_of_each() {
@@ -82,7 +96,8 @@ mod tests {
             "contradicted at the end (the data contradict the model: the noise found is much larger than the noise \
              stated); supported 75 %, contradicted 25 % of the time"
         );
-        assert!(summary.warning().is_some_and(|warning| warning.ends_with("; the estimates have no meaning")));
+        let warning = "the data contradict the model; the estimates have no meaning";
+        assert_eq!(summary.warning().as_deref(), Some(warning));
         let json = serde_json::to_string(&summary).unwrap();
         assert_eq!(
             json,

@@ -2,7 +2,8 @@
 
 use crate::commands::counted;
 
-use super::{ClassSummary, NoiseLevelSummary, Samples, Summary};
+use super::fit::percent;
+use super::{AlertSummary, ClassSummary, DecidedSummary, NoiseLevelSummary, Samples, Summary};
 use std::fmt::{self, Display, Write as _};
 
 /// Classes, leads and calibrations that are listed; JSON has all.
@@ -49,10 +50,19 @@ impl Summary {
             writeln!(text, "warning: {warning}")?;
         }
         if self.alerts.is_empty() {
-            text.push_str("no alert\n");
+            text.push_str(match self.ends_undecided {
+                true => "no alert; some are not decided, see the warnings\n",
+                false => "no alert\n",
+            });
         }
         for alert in &self.alerts {
-            writeln!(text, "{:>9.2} s  {}: {}", alert.time_s, alert.state.as_str(), alert.why)?;
+            write!(text, "{:>9.2} s  {}: {}", alert.time_s, alert.state.as_str(), alert.why)?;
+            match loss_at_first(alert) {
+                Some(loss) => {
+                    writeln!(text, " (the sentence was revised since; the loss at that time was {})", percent(loss))?
+                }
+                None => writeln!(text)?,
+            }
         }
         Ok(())
     }
@@ -77,17 +87,23 @@ impl Summary {
         if let Some(fit) = &self.fit {
             writeln!(text, "  fit {}", fit.words())?;
         }
-        let mut told = self.decided.values();
-        match told.next() {
-            Some(first) if told.all(|other| other == first) => writeln!(text, "  alerts {}", first.words()),
-            _ => {
-                for (name, decided) in self.decided.iter() {
-                    writeln!(text, "  alerts of {name:<14} {}", decided.words())?;
-                }
-                Ok(())
-            }
+        let all: Vec<DecidedSummary> = self.decided.values().cloned().collect();
+        if let Some(words) = DecidedSummary::words_of(&all) {
+            return writeln!(text, "  alerts {words}");
         }
+        for (name, decided) in self.decided.iter() {
+            writeln!(text, "  alerts of {name:<14} {}", decided.words())?;
+        }
+        Ok(())
     }
+}
+
+/// The loss at the time of an alert whose sentence was revised to another loss.
+fn loss_at_first(alert: &AlertSummary) -> Option<f64> {
+    /// A smaller difference is within what both intervals leave open.
+    const LEAST_DIFFERENCE: f64 = 0.01;
+    let is_other = alert.revisions > 0 && (alert.loss - alert.loss_at_first).abs() >= LEAST_DIFFERENCE;
+    is_other.then_some(alert.loss_at_first)
 }
 
 fn write_classes(summary: &ClassSummary, text: &mut String) -> fmt::Result {
@@ -129,5 +145,28 @@ fn plausibility(value: f64) -> String {
         small if small < 0.001 => "below 0.001".to_owned(),
         large if large > 0.999 => "above 0.999".to_owned(),
         other => format!("{other:.3}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use spandrel_bus::AlertState;
+
+    #[test]
+    fn loss_at_first_is_told_where_the_sentence_states_another_one() {
+        let alert = |revisions, loss| AlertSummary {
+            parameter: "storey-2".to_owned(),
+            state: AlertState::Raised,
+            time_s: 68.0,
+            loss_at_first: 0.12,
+            revisions,
+            loss,
+            credibility: 0.999,
+            why: String::new(),
+        };
+        assert_eq!(loss_at_first(&alert(3, 0.15)), Some(0.12));
+        assert_eq!(loss_at_first(&alert(0, 0.12)), None);
+        assert_eq!(loss_at_first(&alert(1, 0.125)), None);
     }
 }

@@ -40,6 +40,31 @@ fn each_reason_keeps_a_loss_from_being_raised() {
 }
 
 #[test]
+fn too_uncertain_estimate_is_told_from_too_uncertain_reference() {
+    let told = |reference, mean, std| {
+        let mut drive = Drive::new(rule().with_reference(reference));
+        drive.estimates(0..60, mean, std);
+        drive.alerts.last().unwrap().why.clone()
+    };
+    let known = Reference::new(1.0, 0.01).unwrap();
+    assert_eq!(
+        told(known, 0.98, 0.08),
+        "no alert of storey-2 is decided: the estimate is too uncertain to show a loss of 10 % (estimate 0.980 ± 0.080, \
+         reference 1.000 ± 0.010)"
+    );
+    // of one degree of freedom, 95 % of the scatter lie below 6.3 standard deviations
+    let few = Reference::new(1.0, 0.0)
+        .unwrap()
+        .with_scatter(crate::reference::Scatter { std: 0.03, degrees_of_freedom: 1.0 })
+        .unwrap();
+    assert_eq!(
+        told(few, 0.98, 0.001),
+        "no alert of storey-2 is decided: the reference, from few records, is too uncertain to show a loss of 10 % \
+         (estimate 0.980 ± 0.001, reference 1.000 ± 0.030)"
+    );
+}
+
+#[test]
 fn reason_that_lasts_less_than_a_second_is_not_announced() {
     let mut drive = Drive::new(rule());
     for second in (0..30).step_by(2) {
