@@ -233,8 +233,8 @@ impl FitState {
 
     /// Returns `true` if the model explains next to nothing of a channel, as seen over a fundamental period or longer.
     pub(crate) fn explains_nothing(&self, settings: &MisfitSettings) -> bool {
-        let channels = self.channels.iter().zip(&self.fits).filter(|(channel, _)| channel.is_judged(settings));
-        { channels }.any(|(_, measures)| 1.0 - measures.explained_share > UNEXPLAINED.contradicted)
+        let mut judged = self.channels.iter().zip(&self.fits).filter(|(channel, _)| channel.is_judged(settings));
+        judged.any(|(_, measures)| 1.0 - measures.explained_share > UNEXPLAINED.contradicted)
     }
 
     /// Forgets what the channels have shown: the parameters are looked for afresh. The verdict stays until they have shown

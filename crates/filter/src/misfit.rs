@@ -359,7 +359,7 @@ mod tests {
             information: DVector::from_element(1, 1.0),
             ..Workspace::new(1)
         };
-        state.take(&SETTINGS, &scratch, 1.0);
+        state.take(&SETTINGS, &scratch, 1.0, true);
     }
 
     #[test]
