@@ -8,6 +8,7 @@
 use nalgebra::{Matrix3, Vector3};
 use serde_json::Value;
 use spandrel_bus::{FrameBlock, Header, StreamState};
+use spandrel_filter::{ExtendedKalmanFilter, Frame as SamplesOfAFrame};
 use spandrel_identify::{Identification, Input, Output};
 use spandrel_record::{ChannelColumn, ColumnMapping, OffsetRemoval, RecordReader, Recording};
 use spandrel_structure::Structure;
@@ -95,7 +96,10 @@ struct Outcome {
     stiffnesses: Vec<[f64; 3]>,
     /// frames in motion: first frequency of the identified model, Hz
     first_frequencies: Vec<f64>,
-    /// all frames: mean of νᵀS⁻¹ν/3, and share below the 95 % point of χ² with 3 degrees of freedom
+}
+
+/// Normalised innovations of all frames: mean of νᵀS⁻¹ν/3, and share below the 95 % point of χ² with 3 degrees of freedom.
+struct Innovations {
     misfit: f64,
     below_bound: f64,
 }
@@ -118,12 +122,9 @@ fn identify(structure: &Structure, frame: &Frame, motion: &str) -> Outcome {
         })
         .collect();
     assert_eq!(estimates.len(), top.len());
-    let mut outcome = Outcome { stiffnesses: vec![], first_frequencies: vec![], misfit: 0.0, below_bound: 0.0 };
+    let mut outcome = Outcome { stiffnesses: vec![], first_frequencies: vec![] };
     let mut last_motion = None;
     for (k, estimate) in estimates.iter().enumerate() {
-        outcome.misfit += estimate.normalised_innovation_squared / 3.0 / estimates.len() as f64;
-        let below = estimate.normalised_innovation_squared < CHI_SQUARED_95;
-        outcome.below_bound += f64::from(u8::from(below)) / estimates.len() as f64;
         if top[k].abs() > 0.5 {
             last_motion = Some(k);
         }
@@ -134,6 +135,25 @@ fn identify(structure: &Structure, frame: &Frame, motion: &str) -> Outcome {
         }
     }
     outcome
+}
+
+/// The innovations of the filter alone: without what answers a wrong model, which would open the parameters again and again here.
+fn innovations(structure: &Structure, frame: &Frame, motion: &str) -> Innovations {
+    let mut settings = structure.filter_settings().unwrap();
+    settings.misfit = None;
+    let mut filter = ExtendedKalmanFilter::new(structure.model(), settings).unwrap();
+    let block = frames(structure, motion, frame.state);
+    let count = block.iter().count() as f64;
+    let mut found = Innovations { misfit: 0.0, below_bound: 0.0 };
+    for (_, values) in block.iter() {
+        let observations: Vec<f64> = structure.observation_channels().iter().map(|c| values[*c]).collect();
+        let excitation: Vec<f64> =
+            structure.excitation_channels().iter().map(|c| c.map_or(0.0, |c| values[c])).collect();
+        let step = filter.step(SamplesOfAFrame { observations: &observations, excitation: &excitation }).unwrap();
+        found.misfit += step.normalised_innovation_squared / 3.0 / count;
+        found.below_bound += f64::from(u8::from(step.normalised_innovation_squared < CHI_SQUARED_95)) / count;
+    }
+    found
 }
 
 fn first_frequency_hz(m: [f64; 3], k: [f64; 3]) -> f64 {
@@ -187,7 +207,7 @@ fn default_noise_rule_keeps_its_innovations_on_the_whole_band() {
         let whole_band = structure(frame.state, &[(&band, ""), (floor, "")]);
         let published = structure(frame.state, &[(&band, ""), (floor, "noise-rule = \"published\"")]);
         for motion in MOTIONS {
-            let [default, published] = [&whole_band, &published].map(|s| identify(s, frame, motion));
+            let [default, published] = [&whole_band, &published].map(|s| innovations(s, frame, motion));
             println!(
                 "{} {motion}: misfit {:.3}, {:.1} % below χ² 95 %; published rule {:.1}, {:.1} %",
                 frame.state,
@@ -196,7 +216,7 @@ fn default_noise_rule_keeps_its_innovations_on_the_whole_band() {
                 published.misfit,
                 100.0 * published.below_bound
             );
-            let Outcome { misfit, below_bound, .. } = default;
+            let Innovations { misfit, below_bound } = default;
             assert!((0.3..=1.3).contains(&misfit), "{} {motion}: misfit {misfit}", frame.state);
             assert!(below_bound >= 0.90, "{} {motion}: {below_bound} below the bound", frame.state);
         }

@@ -74,7 +74,7 @@ fn missing_and_discarded_samples_and_the_misfit_are_told() {
     for part in [
         "missing samples: floor-3 50, floor-5 2",
         "discarded: out-of-range-values 2",
-        "fit supported at the end (the data support the model); supported 9",
+        "fit supported at the end (the data support the model); supported 100 % of the time",
     ] {
         assert!(text.contains(part), "{part} is not in\n{text}");
     }
