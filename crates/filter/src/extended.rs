@@ -696,22 +696,14 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let Workspace { misfit: scratch, mean, covariance, p_ht, update, .. } = work;
         scratch.read(&update.variances, p_ht, update.whitened());
         let is_excitation_known = !state.last_excitation.iter().any(|sample| sample.is_nan());
-        let unexplained = state.fit.as_ref().is_some_and(|fit| fit.explains_nothing(misfit_settings));
-        let starts_afresh = unexplained && is_excitation_known && misfit.is_settled(misfit_settings);
         let jumped = misfit.take(misfit_settings, scratch, normalised_innovation_squared, is_excitation_known);
         scratch.temper(misfit, misfit_settings, settings.fading.value(), &settings.prior_std, mean, covariance);
-        if jumped || starts_afresh {
+        if jumped {
             let first = mean.len() - model.parameter_len();
             for j in first..mean.len() {
                 covariance[(j, j)] += settings.prior_std[j] * settings.prior_std[j];
             }
-            let variances = (first..mean.len()).map(|j| covariance[(j, j)]);
-            if starts_afresh {
-                misfit.start_afresh(variances);
-                state.fit.iter_mut().for_each(FitState::forget_channels);
-            } else {
-                misfit.start_jump(variances);
-            }
+            misfit.start_jump((first..mean.len()).map(|j| covariance[(j, j)]));
             state.annealed_from = state.steps;
         }
         diagonal_to(covariance, &mut update.variances);

@@ -231,21 +231,6 @@ impl FitState {
         &self.fits
     }
 
-    /// Returns `true` if the model explains next to nothing of a channel, as seen over a fundamental period or longer.
-    pub(crate) fn explains_nothing(&self, settings: &MisfitSettings) -> bool {
-        let mut judged = self.channels.iter().zip(&self.fits).filter(|(channel, _)| channel.is_judged(settings));
-        judged.any(|(_, measures)| 1.0 - measures.explained_share > UNEXPLAINED.contradicted)
-    }
-
-    /// Forgets what the channels have shown: the parameters are looked for afresh. The verdict stays until they have shown
-    /// something else.
-    pub(crate) fn forget_channels(&mut self) {
-        for channel in &mut self.channels {
-            channel.forget();
-        }
-        self.excitation_square.fill(0.0);
-    }
-
     /// Returns the number of values remembered; 0 where the lengths disagree, as in a damaged checkpoint.
     pub(crate) fn remembered_len(&self) -> usize {
         let (channels, inputs) = (self.channels.len(), self.excitation_square.len());
@@ -344,12 +329,6 @@ impl ChannelState {
         self.weight >= (settings.lag_steps as f64).min(0.5 * settings.memory_steps)
     }
 
-    fn forget(&mut self) {
-        (self.observation, self.observation_square, self.square, self.weight) = (0.0, 0.0, 0.0, 0.0);
-        self.lagged.fill(0.0);
-        self.with_excitation.fill(0.0);
-    }
-
     fn measures(&self, noise: f64, excitation_square: &[f64]) -> ChannelFit {
         // innovations below the stated noise are a quiet structure, whatever their colour
         let own_square = self.square.max(self.stated_noise * self.weight);
@@ -440,18 +419,5 @@ mod tests {
             assert_eq!(fit.fit().verdict(), verdict, "{left} of the motion left");
             assert!(fit.fit().reasons().any(|reason| reason == FitReason::FarFromPrior));
         }
-    }
-
-    #[test]
-    fn forgotten_channels_leave_the_verdict_until_a_period_has_been_seen() {
-        let mut fit = started();
-        take(&mut fit, 0..300, 0.99, 1.0);
-        assert!(fit.explains_nothing(&SETTINGS) && fit.fit().verdict() == FitVerdict::Contradicted);
-        fit.forget_channels();
-        assert!(!fit.explains_nothing(&SETTINGS), "what is forgotten is no reason for another fresh start");
-        take(&mut fit, 300..309, 0.1, 1.0);
-        assert_eq!(fit.fit().verdict(), FitVerdict::Contradicted);
-        take(&mut fit, 309..330, 0.1, 1.0);
-        assert_ne!(fit.fit().verdict(), FitVerdict::Contradicted);
     }
 }

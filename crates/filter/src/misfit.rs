@@ -10,11 +10,6 @@
 //! `J = Σ λ⁻ᵏ j`, but the variance of a weighted mean is `J⁻¹ (Σ λ⁻²ᵏ R j) J⁻¹`: half of `P` in a long stationary record
 //! with a right model. That sandwich covariance is published.
 //!
-//! Where the model explains next to nothing of the motion, its parameters may be wrong, or the model. A filter that has learnt
-//! much at wrong values is too sure of them to leave them, because each step linearises where it stands. It starts afresh
-//! then: the variances are those of the prior, and corrections count in full for a while. Until it has ended, the published
-//! deviations are those of the prior.
-//!
 //! Sources: H. White, *Maximum likelihood estimation of misspecified models*, Econometrica 50 (1982), 1-25; W. K. Newey &
 //! K. D. West, Econometrica 55 (1987), 703-708 (long-run variance); A. S. Willsky & H. L. Jones, *A generalized likelihood
 //! ratio approach to the detection and estimation of jumps in linear systems*, IEEE Trans. Automatic Control 21 (1976),
@@ -126,10 +121,8 @@ impl Sum {
 pub struct MisfitState {
     parameters: Vec<ParameterMisfit>,
     steps: u64,
-    /// Steps since the last jump or fresh start; `None` before the first.
+    /// Steps since the last jump; `None` before the first.
     since_jump: Option<u64>,
-    /// The filter has left values that explained nothing, and learns from the data alone.
-    starts_afresh: bool,
     /// Normalised innovation squared per channel, mean over the shortest length.
     innovation_square: f64,
 }
@@ -137,13 +130,7 @@ pub struct MisfitState {
 impl MisfitState {
     pub(crate) fn new(parameters: usize) -> Self {
         let parameter = ParameterMisfit { scale: 1.0, ..ParameterMisfit::default() };
-        Self {
-            parameters: vec![parameter; parameters],
-            steps: 0,
-            since_jump: None,
-            starts_afresh: false,
-            innovation_square: 1.0,
-        }
+        Self { parameters: vec![parameter; parameters], steps: 0, since_jump: None, innovation_square: 1.0 }
     }
 
     /// Returns the number of parameters.
@@ -169,16 +156,10 @@ impl MisfitState {
         self.since_jump
     }
 
-    /// Returns `true` while the filter follows a jump, or learns after a fresh start.
+    /// Returns `true` while the filter follows a jump.
     #[must_use]
     pub fn follows_jump(&self, settings: &MisfitSettings) -> bool {
-        let steps = if self.starts_afresh { fresh_steps(settings) } else { settings.jump_steps };
-        self.since_jump.is_some_and(|since| since < steps)
-    }
-
-    /// Returns `true` if the parameters may be looked for afresh: the start is over, and no jump is being followed.
-    pub(crate) fn is_settled(&self, settings: &MisfitSettings) -> bool {
-        self.steps >= settings.start_steps && !self.follows_jump(settings)
+        self.since_jump.is_some_and(|since| since < settings.jump_steps)
     }
 
     /// Takes the scores of one step and `νᵀ S⁻¹ ν` per used channel; returns `true` if the parameters have jumped.
@@ -196,7 +177,7 @@ impl MisfitState {
         self.innovation_square += short * (innovation_square - self.innovation_square);
         let memory = (-1.0 / settings.memory_steps).exp();
         let fades = settings.block_steps.map(|steps| (-1.0 / steps).exp());
-        let settled = self.is_settled(settings);
+        let settled = self.steps >= settings.start_steps && !self.follows_jump(settings);
         let mut largest = 0.0f64;
         for (j, parameter) in self.parameters.iter_mut().enumerate() {
             for (sum, fade) in parameter.sums.iter_mut().zip(fades) {
@@ -218,7 +199,6 @@ impl MisfitState {
     /// Begins to follow a jump after which the parameters have these variances (N_θ).
     pub(crate) fn start_jump(&mut self, variances: impl Iterator<Item = f64>) {
         self.since_jump = Some(0);
-        self.starts_afresh = false;
         for (parameter, variance) in self.parameters.iter_mut().zip(variances) {
             parameter.information = variance.recip();
             parameter.squared_information = parameter.information;
@@ -228,24 +208,12 @@ impl MisfitState {
         }
     }
 
-    /// Begins to learn afresh, from parameters of these variances (N_θ): what misfit was measured belongs to values that
-    /// explained nothing.
-    pub(crate) fn start_afresh(&mut self, variances: impl Iterator<Item = f64>) {
-        self.start_jump(variances);
-        self.starts_afresh = true;
-        for sum in self.parameters.iter_mut().flat_map(|parameter| &mut parameter.sums) {
-            *sum = Sum::default();
-        }
-        self.innovation_square = 1.0;
-    }
-
     /// Moves the published variances, and returns the share of the correction of parameter `j` that is believed.
     ///
     /// Where the sandwich variance would exceed that of the prior (`prior`), the data teach less than was known before:
     /// the correction is reduced to what they do teach.
     fn weigh(&mut self, j: usize, settings: &MisfitSettings, fading: f64, prior: f64, step: (f64, f64)) -> f64 {
         let (before, information) = step;
-        let learns_afresh = self.starts_afresh && self.follows_jump(settings);
         let cautious = self.parameters[j].sums[0].cautious_ratio(settings.block_steps[0]);
         let ratio = self.variance_ratio(j).max(cautious);
         let ratio = if ratio <= EXPLAINED_BY_CHANCE { 1.0 } else { BEYOND_THE_LONGEST * ratio };
@@ -257,22 +225,12 @@ impl MisfitState {
         parameter.squared_information = parameter.squared_information / (fading * fading) + information;
         let after_fading = parameter.squared_information / parameter.information;
         let limit = (prior / before).max(after_fading);
-        if learns_afresh {
-            // How wrong the model is at the new values is not known yet. A reduced correction would keep them where they are.
-            parameter.scale = limit;
-            return 1.0;
-        }
         parameter.scale = (ratio * after_fading).min(limit);
         // A motion that begins exceeds what the model explained while it was quiet. The noise level follows in a second or
         // two; until then the parameters must not take the blame.
         let excess = (self.innovation_square / LARGEST_USUAL_SQUARE).max(1.0);
         (prior / (ratio * before)).min(1.0) / excess
     }
-}
-
-/// Returns the number of steps of a fresh start: the longest length over which scores are summed.
-fn fresh_steps(settings: &MisfitSettings) -> u64 {
-    settings.jump_steps.max(settings.block_steps[SCALES - 1] as u64)
 }
 
 /// Scratch of one step (N_θ).
@@ -336,46 +294,5 @@ impl Workspace {
                 covariance[(at, at)] += (1.0 - believed) * self.gains[j];
             }
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const SETTINGS: MisfitSettings = MisfitSettings {
-        block_steps: [5.0, 20.0, 100.0],
-        memory_steps: 1000.0,
-        start_steps: 0,
-        jump_threshold: 5.0,
-        jump_steps: 40,
-        lag_steps: 10,
-    };
-
-    /// A step of a parameter of variance 0.01 with this score, in deviations that a right model gives.
-    fn take(state: &mut MisfitState, score: f64) {
-        let scratch = Workspace {
-            scores: DVector::from_element(1, score),
-            information: DVector::from_element(1, 1.0),
-            ..Workspace::new(1)
-        };
-        state.take(&SETTINGS, &scratch, 1.0, true);
-    }
-
-    #[test]
-    fn fresh_start_believes_corrections_and_publishes_the_prior_until_it_ends() {
-        let mut state = MisfitState::new(1);
-        (0..2000).for_each(|_| take(&mut state, 4.0)); // a bias of four deviations a step
-        let (prior, before) = (0.04, 0.01);
-        assert!(state.weigh(0, &SETTINGS, 1.0, prior, (before, 1.0)) < 0.1, "misfit reduces corrections");
-        state.start_afresh(std::iter::once(prior));
-        for _ in 0..100 {
-            assert!(state.follows_jump(&SETTINGS) && !state.is_settled(&SETTINGS));
-            assert_eq!(state.weigh(0, &SETTINGS, 1.0, prior, (before, 1.0)), 1.0);
-            assert!(state.variance_scale(0) * before >= prior);
-            take(&mut state, 0.0);
-        }
-        assert!(!state.follows_jump(&SETTINGS), "it lasts for the longest sum");
-        assert_eq!(state.variance_ratio(0), 1.0, "the misfit of former values is forgotten");
     }
 }
