@@ -46,7 +46,7 @@ fn laboratory_frame_goes_as_the_page_says() {
             page.have(&records.join(format!("aligned/{state}-{motion}.csv")));
         }
     }
-    assert_eq!(page.follow(here), 11);
+    assert_eq!(page.follow(here), 10);
     for state in ["stiff", "flexible"] {
         let name = format!("{state}-northridge.csv");
         let kept = std::fs::read_to_string(records.join("aligned").join(&name)).unwrap();

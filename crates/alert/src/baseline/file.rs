@@ -84,7 +84,7 @@ impl Baseline {
             mean: old.mean,
             within_std: old.within_std,
             between_std: (records > 1).then_some(old.between_std),
-            degrees_of_freedom: (records > 1).then(|| records as f64 - 1.0),
+            degrees_of_freedom: (records > 1).then_some(records as f64 - 1.0),
         });
         Self { structure: file.structure, records, parameters: parameters.collect(), is_old_file: true }
     }

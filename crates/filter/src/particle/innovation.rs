@@ -73,7 +73,7 @@ impl Innovation {
             total += weight;
             whitened.iter_mut().zip(row).for_each(|(sum, value)| *sum += weight * value);
         }
-        if !(total > 0.0) {
+        if total.is_nan() || total <= 0.0 {
             return; // no particle is left, which the weights say too
         }
         *whitened /= total; // ȳ

@@ -75,7 +75,7 @@ fn seeds(arguments: &ValidateArguments) -> Vec<u64> {
 fn list() -> Result<(), AppError> {
     let mut text = String::new();
     let widest = cases().iter().map(|case| case.name.len()).max().unwrap_or(0);
-    for Case { name, title, source, .. } in cases().iter().copied() {
+    for Case { name, title, source, .. } in cases() {
         // writing to a String does not fail
         let _ = writeln!(text, "{name:<widest$}  {title} ({source})");
     }

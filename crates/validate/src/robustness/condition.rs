@@ -134,7 +134,7 @@ macro_rules! conditions {
             run: |run| {
                 let change: fn(&mut Building, &mut Stated, u64) = |$b, $s, $seed| {
                     let _ = (&$b, &$s, $seed);
-                    $body;
+                    $body
                 };
                 measure(run, &Condition { change, duration_s: $duration, expected: $expected })
             },
