@@ -556,6 +556,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         }
         self.write_noise_covariances(frame);
         let annealing = self.annealing();
+        let was_annealed = self.annealing_at(self.state.steps.saturating_sub(1)) > LARGEST_SCREENED_ANNEALING;
         let Self { model, settings, state, work, .. } = self;
         let (Some(outlier_settings), Some(outliers)) = (&settings.outliers, &mut state.outliers) else {
             return 0;
@@ -581,8 +582,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             }
             work.variances[channel] = variance;
         }
-        if annealing > LARGEST_SCREENED_ANNEALING {
-            outliers.retrain();
+        if was_annealed && annealing <= LARGEST_SCREENED_ANNEALING {
+            outliers.rescale(&mut work.sorted);
         }
         let residuals = work.update.innovation.as_mut_slice();
         outliers.screen(outlier_settings, residuals, work.variances.as_slice(), &mut work.sorted)
@@ -590,8 +591,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
 
     /// Returns the factor by which the start-up aid raises the noise of the sensors at this step.
     fn annealing(&self) -> f64 {
+        self.annealing_at(self.state.steps)
+    }
+
+    fn annealing_at(&self, step: u64) -> f64 {
         self.settings.annealing.map_or(1.0, |Annealing { amount, time_constant_s }| {
-            let elapsed_s = self.state.steps.saturating_sub(self.state.annealed_from) as f64 * self.settings.step_s;
+            let elapsed_s = step.saturating_sub(self.state.annealed_from) as f64 * self.settings.step_s;
             1.0 + amount * (-elapsed_s / time_constant_s).exp()
         })
     }

@@ -230,13 +230,10 @@ impl ChannelScreen {
         self.recent.rejected_share()
     }
 
-    /// Finds the scale anew; a faulty channel stays out until its residuals are those of the model again.
     fn retrain(&mut self) {
-        if !self.faulty {
-            self.window.clear();
-            self.recent.clear();
-            self.trained = false;
-        }
+        self.window.clear();
+        self.recent.clear();
+        self.trained = false;
     }
 
     /// Takes a scale that was estimated anew.
@@ -288,9 +285,19 @@ impl OutlierState {
         &self.channels
     }
 
-    /// Finds all scales anew: residuals are large for a while after the motion was forgotten, and while the noise is annealed.
+    /// Finds all scales anew: after the motion was forgotten, residuals are large for a while.
     pub(crate) fn retrain(&mut self) {
         self.channels.iter_mut().for_each(ChannelScreen::retrain);
+    }
+
+    /// Takes the scales of the recent residuals: while the noise was annealed, residuals were larger. `sorted` is scratch.
+    pub(crate) fn rescale(&mut self, sorted: &mut Vec<f64>) {
+        for channel in self.channels.iter_mut().filter(|channel| channel.trained && !channel.faulty) {
+            let scale = channel.recent.percentile(ONE_SIGMA, sorted);
+            if scale > 0.0 {
+                channel.rescale(scale);
+            }
+        }
     }
 
     /// Screens the residuals (N_0) of one step and replaces those that must not be used by NaN.
