@@ -168,6 +168,7 @@ fn alert(site: &Site, seconds: i64, state: AlertState) -> AlertMessage {
         credibility: 0.995,
         loss: Some(0.1),
         loss_interval: None,
+        loss_interval_within_record: None,
         mean: 0.9,
         std: 0.01,
         reference: Some(1.0),

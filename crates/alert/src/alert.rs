@@ -1,8 +1,9 @@
 //! An alert: where one parameter stands against one rule, and why.
 
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{AlertMessage, AlertState, CredibleInterval, FitReasons, FitVerdict, Name, UndecidedBecause};
+use spandrel_bus::{AlertMessage, AlertState, FitReasons, FitVerdict, Name, UndecidedBecause};
 
+use crate::credibility::loss_within_record;
 use crate::{LossEstimate, ParameterEstimate, Reference};
 
 /// Where one parameter stands against one rule, since the last change.
@@ -44,9 +45,6 @@ pub struct Alert {
     pub revision: u32,
 }
 
-/// Level of the interval of [`LossEstimate`].
-const LOSS_INTERVAL_LEVEL: f64 = 0.95;
-
 /// Who has seen an alert.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Acknowledged {
@@ -63,6 +61,11 @@ impl Alert {
         said(self) == said(other) && self.acknowledgement == other.acknowledgement
     }
 
+    /// Returns the loss with its interval within this record; `None` while the reference is learnt.
+    pub(crate) fn loss_within_record(&self) -> Option<LossEstimate> {
+        self.reference.as_ref().map(|reference| loss_within_record(&self.estimate, reference))
+    }
+
     /// The message that says so to others; the only place that knows both forms.
     pub fn to_message(&self, structure: &Name, parameter: &Name) -> AlertMessage {
         AlertMessage {
@@ -75,11 +78,8 @@ impl Alert {
             rule_credibility: self.rule_credibility,
             credibility: self.probability_of_loss,
             loss: self.loss.map(|estimate| estimate.loss),
-            loss_interval: self.loss.map(|estimate| CredibleInterval {
-                level: LOSS_INTERVAL_LEVEL,
-                low: estimate.low,
-                high: estimate.high,
-            }),
+            loss_interval: self.loss.map(|loss| loss.interval()),
+            loss_interval_within_record: self.loss_within_record().map(|loss| loss.interval()),
             mean: self.estimate.mean,
             std: self.estimate.std,
             reference: self.reference.map(|reference| reference.mean()),

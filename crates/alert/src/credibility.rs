@@ -44,6 +44,13 @@ pub struct LossEstimate {
     pub high: f64,
 }
 
+impl LossEstimate {
+    /// Returns the interval for a message.
+    pub(crate) fn interval(&self) -> CredibleInterval {
+        CredibleInterval { level: 0.95, low: self.low, high: self.high }
+    }
+}
+
 /// Φ(1.959964) = 0.975: the quantile of a two-sided 95 % interval.
 const QUANTILE_95: f64 = 1.959_963_984_540_054;
 
@@ -85,7 +92,7 @@ pub fn loss_estimate(estimate: &ParameterEstimate, reference: &Reference) -> Los
 }
 
 /// The loss against the mean of the reference with the 95 % interval within the record: what the estimate alone leaves open.
-pub fn loss_within_record(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
+pub(crate) fn loss_within_record(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
     let CredibleInterval { low, high, .. } = estimate.interval();
     let loss = |value: f64| 1.0 - value / reference.mean();
     LossEstimate { loss: loss(estimate.mean), low: loss(high), high: loss(low) }

@@ -187,7 +187,7 @@ impl Decision {
         if self.is_measured(&estimate) {
             self.knowledge = Knowledge::Measured;
         }
-        self.jump.take(flags.follows_jump, estimate.time_ns);
+        self.jump.take(&flags, estimate.time_ns);
         let hindrance = self.hindrance(&estimate, &flags);
         let was_undecided = self.support.undecided_because().is_some();
         self.support.take(hindrance, estimate.time_ns);
@@ -209,7 +209,7 @@ impl Decision {
                 if decides {
                     let probability = probability_of_loss(&estimate, reference, self.rule.loss());
                     let watch = watch.clone();
-                    let next = self.next(watch, probability, estimate.time_ns);
+                    let next = self.next(watch, probability, flags.fit, estimate.time_ns);
                     self.enter(next, alerts);
                     self.revise(alerts);
                 } else {
@@ -280,10 +280,10 @@ impl Decision {
     }
 
     /// The state after an estimate with this probability of the loss.
-    fn next(&self, watch: Watching, probability: f64, time_ns: i64) -> Watching {
+    fn next(&self, watch: Watching, probability: f64, fit: Option<FitVerdict>, time_ns: i64) -> Watching {
         let is_credible = probability >= self.rule.credibility();
         let is_sustained = |since_ns: i64| time_ns.saturating_sub(since_ns) >= self.rule.sustain_ns();
-        let is_held = self.jump.holds(time_ns); // others are not blamed for a sudden change
+        let is_held = self.jump.holds(fit, time_ns); // others are not blamed for a sudden change
         let rise = |since_ns: i64, otherwise: Watching| match is_sustained(since_ns) && !is_held {
             true => Watching::Raised { since_ns, acknowledged: None, low_since_ns: None, is_confirmed: true },
             false => otherwise,

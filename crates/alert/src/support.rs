@@ -3,7 +3,7 @@
 //! Notation as in [`credibility`](crate::credibility): r mean of the reference, L loss of the rule.
 
 use serde::{Deserialize, Serialize};
-use spandrel_bus::UndecidedBecause;
+use spandrel_bus::{EstimateFlags, FitVerdict, UndecidedBecause};
 
 use crate::{ParameterEstimate, Reference, Rule, probability_of_loss};
 
@@ -93,40 +93,75 @@ pub(crate) fn rests_on_bound(estimate: &ParameterEstimate, bounds: (f64, f64)) -
     estimate.mean - bounds.0 <= estimate.std || bounds.1 - estimate.mean <= estimate.std
 }
 
-/// A sudden change that the filter follows.
+/// A sudden change that the filter follows, and those that follow it closely.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Jump {
-    since_ns: Option<i64>,
-    /// Since when the filter has followed it no longer, ns.
+    first: Option<FirstJump>,
+    /// Time of the last frame whose fit was supported, ns.
+    supported_ns: Option<i64>,
+    /// Start of the last jump, ns.
+    last_ns: i64,
+    /// End of the last jump, ns; `None` while the filter follows it.
     over_since_ns: Option<i64>,
 }
 
-/// For so long after a jump began, no new alert is raised, ns of measurement time.
+/// The first of several jumps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+struct FirstJump {
+    start_ns: i64,
+    /// Whether the fit was supported until the change: the verdict can fall before the filter follows a jump.
+    was_supported: bool,
+}
+
+/// Time after the start of a jump without new alerts, ns of measurement time.
 ///
-/// After a loss of 60 % in one storey of five, the estimates of sound storeys were off for up to 6 s.
+/// After a loss of 60 % in one storey of five, the estimates of sound storeys were off for up to 6 s where the fit was
+/// supported again.
 const HELD_NS: i64 = 8_000_000_000;
 
+/// Maximum time after the first jump without new alerts while the fit is not supported as it was before, ns of measurement
+/// time.
+///
+/// Where the fit stayed doubtful after a loss of 60 %, sound storeys were up to 35 % too low with narrow intervals, for 20 s.
+const LONGEST_HELD_NS: i64 = 30_000_000_000;
+
 impl Jump {
-    /// Takes whether the filter follows a jump at a frame. One that begins again within a second is the same.
-    pub(crate) fn take(&mut self, follows: bool, time_ns: i64) {
-        let within = |span_ns: i64, since_ns: i64| (0..span_ns).contains(&time_ns.saturating_sub(since_ns));
-        if follows {
-            let is_same = self.over_since_ns.is_none_or(|over_ns| within(PERSISTS_NS, over_ns));
-            let since_ns = self.since_ns.filter(|since_ns| is_same && *since_ns <= time_ns).unwrap_or(time_ns);
-            *self = Self { since_ns: Some(since_ns), over_since_ns: None };
-        } else if let Some(since_ns) = self.since_ns {
-            let over_ns = *self.over_since_ns.get_or_insert(time_ns);
-            if !within(PERSISTS_NS, over_ns) && !within(HELD_NS, since_ns) {
-                *self = Self::default();
+    /// Takes a frame. A jump that begins again within a second is the same one.
+    pub(crate) fn take(&mut self, flags: &EstimateFlags, time_ns: i64) {
+        let is_recent =
+            |since_ns: Option<i64>| since_ns.is_some_and(|since_ns| is_within(PERSISTS_NS, since_ns, time_ns));
+        if flags.follows_jump {
+            let first = self.first.filter(|first| first.start_ns <= time_ns);
+            if first.is_none() || (self.over_since_ns.is_some() && !is_recent(self.over_since_ns)) {
+                self.last_ns = time_ns;
             }
+            let was_supported = is_recent(self.supported_ns);
+            self.first = first.or(Some(FirstJump { start_ns: time_ns, was_supported }));
+            self.over_since_ns = None;
+        } else if self.first.is_some() {
+            self.over_since_ns = self.over_since_ns.or(Some(time_ns));
+            if !is_recent(self.over_since_ns) && !self.holds(flags.fit, time_ns) {
+                (self.first, self.over_since_ns) = (None, None);
+            }
+        }
+        if flags.fit == Some(FitVerdict::Supported) {
+            self.supported_ns = Some(time_ns);
         }
     }
 
-    /// Returns `true` while new alerts are held because of the jump.
-    pub(crate) fn holds(&self, time_ns: i64) -> bool {
-        let is_new = |since_ns: i64| time_ns.saturating_sub(since_ns) < HELD_NS;
-        self.since_ns.is_some_and(is_new)
+    /// Returns `true` while new alerts are held because of the jump. `fit`: verdict at the frame.
+    pub(crate) fn holds(&self, fit: Option<FitVerdict>, time_ns: i64) -> bool {
+        self.first.is_some_and(|first| {
+            let is_worse = first.was_supported && fit.is_some_and(|fit| fit > FitVerdict::Supported);
+            is_within(HELD_NS, self.last_ns, time_ns)
+                || (is_worse && is_within(LONGEST_HELD_NS, first.start_ns, time_ns))
+        })
     }
+}
+
+/// Returns `true` if `time_ns` is at most `span_ns` after `since_ns`.
+fn is_within(span_ns: i64, since_ns: i64, time_ns: i64) -> bool {
+    (0..span_ns).contains(&time_ns.saturating_sub(since_ns))
 }
 
 /// Frames since the reference was known, and those that were not decided on.
@@ -255,17 +290,42 @@ mod tests {
         assert!(!rests_on_bound(&estimate(0.12, 0.01), bounds));
     }
 
+    /// Takes jumps at `jumps` (s) of half a second each, and returns the last moment (s) at which alerts are held.
+    fn held_until(jumps: &[i64], fit_after: FitVerdict) -> f64 {
+        let (mut jump, mut last) = (Jump::default(), 0.0);
+        for tenth in 0..1000 {
+            let time_ns = tenth * S / 10;
+            let follows_jump = jumps.iter().any(|start| (0..5).contains(&(tenth - 10 * start)));
+            // the verdict falls half a second before the filter follows the jump
+            let is_after = jumps.iter().any(|start| tenth > 10 * start - 5);
+            let fit = Some(if is_after { fit_after } else { FitVerdict::Supported });
+            jump.take(&EstimateFlags { follows_jump, fit, ..EstimateFlags::working() }, time_ns);
+            if jump.holds(fit, time_ns) {
+                last = tenth as f64 / 10.0;
+            }
+        }
+        last
+    }
+
     #[test]
-    fn jump_holds_alerts_for_eight_seconds_however_often_it_begins() {
+    fn jump_holds_alerts_for_eight_seconds() {
+        assert_eq!(held_until(&[10], FitVerdict::Supported), 17.9);
+        assert_eq!(held_until(&[10, 15], FitVerdict::Supported), 22.9);
+    }
+
+    #[test]
+    fn jump_that_spoils_the_fit_holds_alerts_for_thirty_seconds() {
+        assert_eq!(held_until(&[10], FitVerdict::Doubtful), 39.9);
+        assert_eq!(held_until(&[10, 30], FitVerdict::Doubtful), 39.9, "later jumps do not prolong it");
+        assert_eq!(held_until(&[10, 35], FitVerdict::Doubtful), 42.9, "but for their own eight seconds");
+    }
+
+    #[test]
+    fn fit_that_was_doubtful_before_prolongs_nothing() {
         let mut jump = Jump::default();
-        let held: Vec<bool> = (0..120)
-            .map(|tenth| {
-                jump.take(tenth % 5 != 4, tenth * S / 10);
-                jump.holds(tenth * S / 10)
-            })
-            .collect();
-        let last = held.iter().rposition(|holds| *holds);
-        assert_eq!((held[0], last), (true, Some(79)));
+        let doubtful = EstimateFlags { fit: Some(FitVerdict::Doubtful), ..EstimateFlags::working() };
+        jump.take(&EstimateFlags { follows_jump: true, ..doubtful }, 0);
+        assert!(jump.holds(doubtful.fit, 8 * S - 1) && !jump.holds(doubtful.fit, 8 * S));
     }
 
     #[test]

@@ -16,7 +16,7 @@ pub(crate) fn describe(subject: &Subject, rule: &Rule, alert: &Alert, before: Op
     };
     let how_much = match alert.follows_jump && alert.undecided_because.is_none() {
         true => followed(quantity, loss, alert, before),
-        false => format!("{} of its {quantity} ({})", percent(loss.loss), interval(loss)),
+        false => format!("{} of its {quantity} ({})", percent(loss.loss), intervals(loss, alert)),
     };
     let found = alert.probability_of_loss;
     let told = RoundedProbability::new(found, &[rule.credibility(), rule.clear_credibility()]);
@@ -115,7 +115,7 @@ fn nothing_learnt(because: UndecidedBecause, alert: &Alert) -> String {
 fn followed(quantity: &str, loss: &LossEstimate, alert: &Alert, before: Option<&Alert>) -> String {
     let has_risen = before.is_some_and(|before| before.follows_jump && before.estimate.mean < alert.estimate.mean);
     let moves = if has_risen { "moving" } else { "falling" };
-    format!("at least {} of its {quantity}, still {moves} ({})", percent(loss.low.max(0.0)), interval(loss))
+    format!("at least {} of its {quantity}, still {moves} ({})", percent(loss.low.max(0.0)), intervals(loss, alert))
 }
 
 /// Why an alert is over although nothing new has been measured.
@@ -199,8 +199,16 @@ fn per_cent(share: f64) -> String {
     }
 }
 
-fn interval(loss: &LossEstimate) -> String {
-    format!("95 % interval {} to {} %", per_cent(loss.low), per_cent(loss.high))
+/// The interval of the loss; also the one within this record where the scatter between records is known.
+fn intervals(loss: &LossEstimate, alert: &Alert) -> String {
+    let range = |loss: &LossEstimate| format!("{} to {} %", per_cent(loss.low), per_cent(loss.high));
+    let has_scatter = alert.reference.is_some_and(|reference| reference.scatter().is_some());
+    match alert.loss_within_record().filter(|_| has_scatter) {
+        Some(within) => {
+            format!("95 % interval for this structure {}, within this record {}", range(loss), range(&within))
+        }
+        None => format!("95 % interval {}", range(loss)),
+    }
 }
 
 /// A probability that a rule asks for: as it stands in the rule, with three decimals at least.

@@ -58,6 +58,7 @@ pub(crate) fn alert(of: &str, time_ns: i64, state: AlertState) -> AlertMessage {
         credibility: 1.0,
         loss: Some(0.1),
         loss_interval: None,
+        loss_interval_within_record: None,
         mean: 0.9,
         std: 0.01,
         reference: Some(1.0),

@@ -112,6 +112,7 @@ impl Site {
             credibility: 1.0,
             loss: Some(0.15),
             loss_interval: None,
+            loss_interval_within_record: None,
             mean: 0.85,
             std: 0.01,
             reference: Some(1.0),

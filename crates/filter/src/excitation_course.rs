@@ -40,7 +40,7 @@ pub(crate) struct ExcitationCourse {
     first_squares: DVector<f64>,
     second_squares: DVector<f64>,
     samples: DVector<f64>,
-    /// `B` of the last step (n × N_f)
+    /// `B` of the last step (n × N_f); only the columns of smooth components are kept up to date
     input_matrix: DMatrix<f64>,
 }
 
@@ -119,7 +119,6 @@ impl ExcitationCourse {
 
     /// Takes the next sample of each component, NaN where it is missing, after `last`, and `B` (n × N_f) of the step between.
     pub(crate) fn take(&mut self, last: &DVector<f64>, next: &[f64], input_matrix: &DMatrix<f64>) {
-        self.input_matrix.copy_from(input_matrix);
         let fade = 1.0 - 1.0 / MEMORY;
         for (j, (last, next)) in last.iter().zip(next).enumerate() {
             if let Some(bend) = self.bend(j, *last, *next) {
@@ -131,6 +130,9 @@ impl ExcitationCourse {
             let is_unbroken = !last.is_nan() && !next.is_nan();
             self.unbroken[j] = if is_unbroken { (self.unbroken[j] + 1).min(ENOUGH) } else { 0 };
             self.before_last[j] = if is_unbroken { *last } else { 0.0 };
+            if self.smooth_share(j) > 0.0 {
+                self.input_matrix.set_column(j, &input_matrix.column(j));
+            }
         }
     }
 }

@@ -59,6 +59,10 @@ fn figures(alert: &AlertMessage) -> String {
     if let (Some(loss), Some(interval)) = (alert.loss, alert.loss_interval) {
         let (low, high, level) = (percent(interval.low), percent(interval.high), percent(interval.level));
         lines.push(format!("Loss:        {}, between {low} and {high} with {level} credibility", percent(loss)));
+        if let Some(within) = alert.loss_interval_within_record.filter(|within| *within != interval) {
+            let (low, high) = (percent(within.low), percent(within.high));
+            lines.push(format!("             within this record between {low} and {high}"));
+        }
     }
     let (loss, asked) = (percent(alert.rule_loss), percent(alert.rule_credibility));
     lines.push(format!(
@@ -100,6 +104,7 @@ pub(crate) mod tests {
             credibility: 0.997,
             loss: Some(0.124),
             loss_interval: Some(CredibleInterval { level: 0.99, low: 0.09, high: 0.15 }),
+            loss_interval_within_record: None,
             mean: 0.876,
             std: 0.0123,
             reference: Some(1.0),

@@ -49,6 +49,7 @@ impl Site {
             credibility: 0.999,
             loss: Some(0.14),
             loss_interval: Some(CredibleInterval { level: 0.95, low: 0.12, high: 0.16 }),
+            loss_interval_within_record: None,
             mean: 0.86,
             std: 0.01,
             reference: Some(1.0),

@@ -82,8 +82,12 @@ pub struct AlertMessage {
     pub credibility: f64,
     /// Loss found, a share of the reference; none while the reference is learnt.
     pub loss: Option<f64>,
-    /// Interval of the loss found.
+    /// Interval of the loss for this structure: includes the uncertainty of the reference and, where the baseline states it,
+    /// the scatter between records.
     pub loss_interval: Option<CredibleInterval>,
+    /// Interval of the loss within this record: what the estimate leaves open if the reference is exact.
+    #[serde(default)]
+    pub loss_interval_within_record: Option<CredibleInterval>,
     /// Mean of the parameter, ratio to nominal.
     pub mean: f64,
     /// Standard deviation of the parameter, ratio to nominal.
@@ -195,6 +199,8 @@ impl Message for AlertMessage {
             ("loss", self.loss),
             ("loss interval low", self.loss_interval.map(|interval| interval.low)),
             ("loss interval high", self.loss_interval.map(|interval| interval.high)),
+            ("loss interval within record low", self.loss_interval_within_record.map(|interval| interval.low)),
+            ("loss interval within record high", self.loss_interval_within_record.map(|interval| interval.high)),
             ("reference", self.reference),
             ("reference std", self.reference_std),
         ];
@@ -224,6 +230,7 @@ mod tests {
             credibility: 0.997,
             loss: Some(0.14),
             loss_interval: None,
+            loss_interval_within_record: None,
             mean: 0.86,
             std: 0.01,
             reference: Some(1.0),

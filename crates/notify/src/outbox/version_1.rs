@@ -75,6 +75,7 @@ impl From<AlertMessage> for spandrel_bus::AlertMessage {
             credibility: former.credibility,
             loss: former.loss,
             loss_interval: former.loss_interval,
+            loss_interval_within_record: None,
             mean: former.mean,
             std: former.std,
             reference: former.reference,

@@ -47,6 +47,7 @@ pub fn alert(parameter: &str, second: i64, state: AlertState) -> AlertMessage {
         credibility: 0.997,
         loss: Some(0.142),
         loss_interval: Some(CredibleInterval { level: 0.95, low: 0.121, high: 0.163 }),
+        loss_interval_within_record: None,
         mean: 0.858,
         std: 0.011,
         reference: Some(1.0),

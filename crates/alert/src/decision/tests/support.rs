@@ -1,6 +1,7 @@
 //! Undecided, unconfirmed and revised alerts.
 
 use super::*;
+use spandrel_bus::Name;
 
 #[test]
 fn nothing_is_decided_while_the_data_contradict_the_model() {
@@ -62,6 +63,26 @@ fn too_uncertain_estimate_is_told_from_too_uncertain_reference() {
         "no alert of storey-2 is decided: the reference, from few records, is too uncertain to show a loss of 10 % \
          (estimate 0.980 ± 0.001, reference 1.000 ± 0.030)"
     );
+}
+
+#[test]
+fn loss_has_an_interval_for_the_structure_and_one_within_the_record() {
+    let scatter = crate::reference::Scatter { std: 0.02, degrees_of_freedom: 9.0 };
+    let records = Reference::new(1.0, 0.0).unwrap().with_scatter(scatter).unwrap();
+    let mut drive = Drive::new(rule().with_reference(records));
+    drive.estimates(0..30, 0.8, 0.01);
+    let raised = drive.alerts.last().unwrap();
+    // within the record: 1.96·0.01 on both sides of 20 %; scatter and estimate together: more than 1.96·√(0.01² + (0.8·0.02)²)
+    let within = raised.to_message(&Name::new("tower").unwrap(), &Name::new("storey-2").unwrap());
+    let (within, whole) = (within.loss_interval_within_record.unwrap(), within.loss_interval.unwrap());
+    assert!((within.low - 0.1804).abs() < 1e-6 && (within.high - 0.2196).abs() < 1e-6, "{within:?}");
+    let half = 1.96 * 0.01_f64.hypot(0.8 * 0.02);
+    assert!(
+        (half..1.3 * half).contains(&(whole.high - 0.2)) && (half..1.4 * half).contains(&(0.2 - whole.low)),
+        "{whole:?}"
+    );
+    let told = "20 % of its stiffness (95 % interval for this structure ";
+    assert!(raised.why.contains(told) && raised.why.contains(" %, within this record 18 to 22 %)"), "{}", raised.why);
 }
 
 #[test]
