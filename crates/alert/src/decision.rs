@@ -235,12 +235,15 @@ impl Decision {
         let Stage::Watching { reference, .. } = &self.stage else {
             return None; // whether a loss would show depends on the reference
         };
-        let excludes = || {
-            // a narrow prior excludes losses without any data
-            self.is_measured(estimate) && self.support.excludes_losses(estimate, reference, &self.rule)
+        let answers = || {
+            let is_credible = probability_of_loss(estimate, reference, self.rule.loss()) >= self.rule.credibility();
+            is_credible || self.support.excludes_losses(estimate, reference, &self.rule)
         };
+        // An uncertain estimate can answer the rule all the same, if it rests on data: a narrow prior excludes losses without
+        // any, and an estimate that rests on an unmeasured excitation is never much narrower than its prior.
         let is_learnt = self.knowledge == Knowledge::Measured
-            && (self.support.shows_losses(estimate, reference, &self.rule) || excludes());
+            && (self.support.shows_losses(estimate, reference, &self.rule)
+                || (self.is_measured(estimate) && answers()));
         (!is_learnt).then_some(UndecidedBecause::NothingLearnt)
     }
 

@@ -1,6 +1,7 @@
 //! The cases, one a published example.
 
 use crate::error::ValidateError;
+use crate::fit;
 use crate::outcome::Outcome;
 use crate::robustness;
 use crate::run::Run;
@@ -262,10 +263,11 @@ static CASES: [Case; 29] = [
     },
 ];
 
-/// Returns all cases: the published ones in the order of their sources, then those of robustness.
+/// Returns all cases: the published ones in the order of their sources, then those of robustness and of the example files.
 #[must_use]
 pub fn cases() -> &'static [&'static Case] {
-    static ALL: LazyLock<Vec<&'static Case>> = LazyLock::new(|| CASES.iter().chain(robustness::CASES).collect());
+    static ALL: LazyLock<Vec<&'static Case>> =
+        LazyLock::new(|| CASES.iter().chain(robustness::CASES).chain(fit::CASES).collect());
     &ALL
 }
 

@@ -25,6 +25,9 @@ pub enum ValidateError {
     /// A run of the robustness benchmark stopped.
     #[error("the robustness benchmark stopped: {0}")]
     Robustness(String),
+    /// An example file could not be run through the cores of the services.
+    #[error("the example could not be run: {0}")]
+    Fit(String),
     /// A real record has no result.
     #[error(transparent)]
     Records(#[from] crate::robustness::records::RecordsError),
@@ -61,6 +64,11 @@ impl ValidateError {
     /// Makes the error of a filter that stopped at a time (s).
     pub(crate) fn at(time_s: f64) -> impl FnOnce(spandrel_filter::FilterError) -> Self {
         move |source| Self::Filter { time_s, source }
+    }
+
+    /// Makes the error of an example file that could not be run.
+    pub(crate) fn fit(source: impl std::fmt::Display) -> Self {
+        Self::Fit(source.to_string())
     }
 
     /// Makes the error of a filter that could not be built.

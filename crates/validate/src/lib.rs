@@ -16,6 +16,7 @@
 mod cases;
 mod error;
 mod figure;
+mod fit;
 mod kept;
 mod network;
 mod outcome;

@@ -38,6 +38,8 @@ const DURATION_S: f64 = 120.0;
 const SUDDEN_S: f64 = 170.0;
 const UNMEASURED_S: f64 = 240.0;
 const LOSS_AT_S: f64 = 60.0;
+/// The same where the training of the noise levels can take 40 s; the reference is learnt in the 30 s after it.
+const LATE_LOSS_AT_S: f64 = 90.0;
 
 /// Stiffness of each storey that gives the first natural frequency of a uniform shear building.
 fn stiffness_n_per_m() -> f64 {
@@ -85,6 +87,11 @@ pub(super) fn right() -> (Building, Stated) {
 
 fn lose(building: &mut Building, storey: usize, share: f64) {
     building.loss = Some(Loss { storey: storey - 1, at_s: LOSS_AT_S, share });
+}
+
+/// Makes a storey lose stiffness when the reference is known even where the training of the noise levels takes its limit.
+fn lose_late(building: &mut Building, storey: usize, share: f64) {
+    building.loss = Some(Loss { storey: storey - 1, at_s: LATE_LOSS_AT_S, share });
 }
 
 fn damping(building: &mut Building, factor: f64) {
@@ -166,15 +173,15 @@ conditions![
     "ground-noise-fivefold" "Noise of the ground channel five times the file", DURATION_S, WRONG, |b, s, seed| b.ground_noise = 0.025;
     "weak-motion" "A tenth of the motion", DURATION_S, WRONG, |b, s, seed| b.ground.std = 0.01;
     "unmeasured" "Ground not measured, level right", UNMEASURED_S, Expected::EveryStorey, |b, s, seed| unmeasured(b, s);
-    "unmeasured-loss" "Ground not measured, level right; storey 3 loses 10 %", UNMEASURED_S, FOUND, |b, s, seed| { unmeasured(b, s); lose(b, 3, 0.10) };
+    "unmeasured-loss" "Ground not measured, level right; storey 3 loses 10 %", UNMEASURED_S, FOUND, |b, s, seed| { unmeasured(b, s); lose_late(b, 3, 0.10) };
     "unmeasured-half" "Ground not measured, level stated at half", UNMEASURED_S, Expected::EveryStorey, |b, s, seed| { unmeasured(b, s); s.ground_std = 0.05 };
-    "unmeasured-half-loss" "Ground not measured, level stated at half; storey 3 loses 10 %", UNMEASURED_S, FOUND, |b, s, seed| { unmeasured(b, s); s.ground_std = 0.05; lose(b, 3, 0.10) };
+    "unmeasured-half-loss" "Ground not measured, level stated at half; storey 3 loses 10 %", UNMEASURED_S, FOUND, |b, s, seed| { unmeasured(b, s); s.ground_std = 0.05; lose_late(b, 3, 0.10) };
     "unmeasured-twice" "Ground not measured, level stated at twice", UNMEASURED_S, Expected::EveryStorey, |b, s, seed| { unmeasured(b, s); s.ground_std = 0.2 };
-    "unmeasured-twice-loss" "Ground not measured, level stated at twice; storey 3 loses 10 %", UNMEASURED_S, FOUND, |b, s, seed| { unmeasured(b, s); s.ground_std = 0.2; lose(b, 3, 0.10) };
+    "unmeasured-twice-loss" "Ground not measured, level stated at twice; storey 3 loses 10 %", UNMEASURED_S, FOUND, |b, s, seed| { unmeasured(b, s); s.ground_std = 0.2; lose_late(b, 3, 0.10) };
     "unmeasured-tenfold" "Ground not measured, its level varies tenfold", UNMEASURED_S, Expected::EveryStorey, |b, s, seed| { unmeasured(b, s); b.ground.envelope = Envelope::Tenfold(60.0) };
-    "unmeasured-tenfold-loss" "Ground not measured, its level varies tenfold; storey 3 loses 10 %", UNMEASURED_S, FOUND, |b, s, seed| { unmeasured(b, s); b.ground.envelope = Envelope::Tenfold(60.0); lose(b, 3, 0.10) };
+    "unmeasured-tenfold-loss" "Ground not measured, its level varies tenfold; storey 3 loses 10 %", UNMEASURED_S, FOUND, |b, s, seed| { unmeasured(b, s); b.ground.envelope = Envelope::Tenfold(60.0); lose_late(b, 3, 0.10) };
     "unmeasured-coloured" "Ground not measured, coloured (Kanai-Tajimi)", UNMEASURED_S, Expected::EveryStorey, |b, s, seed| { unmeasured(b, s); b.ground.spectrum = Spectrum::KanaiTajimi };
-    "unmeasured-coloured-loss" "Ground not measured, coloured (Kanai-Tajimi); storey 3 loses 10 %", UNMEASURED_S, FOUND, |b, s, seed| { unmeasured(b, s); b.ground.spectrum = Spectrum::KanaiTajimi; lose(b, 3, 0.10) };
+    "unmeasured-coloured-loss" "Ground not measured, coloured (Kanai-Tajimi); storey 3 loses 10 %", UNMEASURED_S, FOUND, |b, s, seed| { unmeasured(b, s); b.ground.spectrum = Spectrum::KanaiTajimi; lose_late(b, 3, 0.10) };
     "loss-30-storey-1" "Storey 1 loses 30 % at once", SUDDEN_S, sudden(8.3), |b, s, seed| lose(b, 1, 0.3);
     "loss-30-storey-2" "Storey 2 loses 30 % at once", SUDDEN_S, sudden(8.6), |b, s, seed| lose(b, 2, 0.3);
     "loss-30-storey-3" "Storey 3 loses 30 % at once", SUDDEN_S, sudden(11.8), |b, s, seed| lose(b, 3, 0.3);
