@@ -61,7 +61,7 @@ pub struct SpanSummary {
 impl SpanSummary {
     /// Variance of the sound value as far as this span tells: both parts together.
     pub fn variance(&self) -> f64 {
-        self.estimate_variance + self.drift_variance
+        self.estimate_variance + self.drift_variance + 2.0 * (self.drift_variance - self.estimate_variance).max(0.0)
     }
 }
 

@@ -16,7 +16,7 @@ use crate::dense::{add_quadratic_form_mut, diagonal_to, symmetrise_mut};
 use crate::discretise::{self, InputHold, Series};
 use crate::error::FilterError;
 use crate::fading::bound_variances_mut;
-use crate::fit::{ChannelFit, Fit, FitState, Shown};
+use crate::fit::{ChannelFit, Fit, FitState, Shown, ShownParameters};
 use crate::misfit::MisfitState;
 use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::{ExcitationPath, NoiseEvents, NoisePhase, NoiseRule, NoiseState, NoiseTarget};
@@ -37,6 +37,9 @@ const CREDIBLE: f64 = 25.0;
 
 /// While the start-up aid raises the noise of the sensors more than this, residuals do not have the size that screening asks for.
 const LARGEST_SCREENED_ANNEALING: f64 = 2.0;
+
+/// Standard deviations of a normal variable that hold 95 % on both sides.
+const QUANTILE_95: f64 = 1.96;
 
 /// One instant as the filter sees it.
 #[derive(Debug, Clone, Copy)]
@@ -164,10 +167,10 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         );
         let per_channel = evidence.normalised_innovation_squared / used.max(1) as f64;
         self.answer_misfit(per_channel);
-        let limited_states = self.limit_state();
+        let (limited_states, rests_on_bound) = self.limit_state();
         let bounded_variances = self.bound_variances();
         self.check_result()?;
-        self.judge_fit(frame, per_channel, limited_states > 0);
+        self.judge_fit(frame, per_channel, rests_on_bound);
         self.commit(frame, evidence.normalised_innovation_squared);
         Ok(Step {
             normalised_innovation_squared: evidence.normalised_innovation_squared,
@@ -686,6 +689,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         if let Some(direct) = model.feedthrough() {
             add_quadratic_form_mut(innovation_covariance, direct, &work.frame_excitation, 1.0);
         }
+        diagonal_to(innovation_covariance, &mut work.predicted_variances);
         if annealing != 1.0 {
             work.sensors *= annealing;
         }
@@ -730,25 +734,41 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 excitation: frame.excitation,
                 noise: &work.sensors,
                 normalised_innovation_squared,
+                predicted_variances: work.predicted_variances.as_slice(),
                 at_bound,
-                parameters: [&work.mean, &settings.prior_mean, &settings.prior_std].map(|all| &all.as_slice()[first..]),
+                parameters: ShownParameters {
+                    means: &work.mean.as_slice()[first..],
+                    variances: &work.update.variances.as_slice()[first..],
+                    prior_means: &settings.prior_mean.as_slice()[first..],
+                    prior_stds: &settings.prior_std.as_slice()[first..],
+                    considered_stds: &settings.considered_std.as_slice()[first..],
+                },
             },
         );
     }
 
     /// Brings entries of the state back to their limits; the covariance stays.
-    fn limit_state(&mut self) -> usize {
-        let Self { settings, work, .. } = self;
-        let mut limited = 0;
+    ///
+    /// Returns how many were beyond them, and whether the data put one of them there: its interval excludes the prior mean.
+    fn limit_state(&mut self) -> (usize, bool) {
+        let Self { model, settings, state, work, .. } = self;
+        let first = work.mean.len() - model.parameter_len();
+        let widening = |j: usize| state.misfit.as_ref().map_or(1.0, |misfit| misfit.variance_scale(j - first));
+        let (mut limited, mut rests_on_bound) = (0, false);
         for j in 0..work.mean.len() {
             let inside = work.mean[j].clamp(settings.lower[j], settings.upper[j]);
             // NaN is no reason to count here: the check of the result finds it
             if inside != work.mean[j] && !work.mean[j].is_nan() {
                 work.mean[j] = inside;
                 limited += 1;
+                if j >= first {
+                    let off = inside - settings.prior_mean[j];
+                    let variance = work.update.variances[j] * widening(j);
+                    rests_on_bound |= off * off > QUANTILE_95 * QUANTILE_95 * variance;
+                }
             }
         }
-        limited
+        (limited, rests_on_bound)
     }
 
     /// Scales the covariance so that no variance exceeds its bound; returns how many did.

@@ -9,11 +9,10 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 /// Whether the data support the model.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FitVerdict {
-    /// No measure disagrees with the model, or the fit is not measured.
-    #[default]
+    /// No measure disagrees with the model.
     Supported,
     /// The model leaves out something that matters; intervals are widened for it.
     Doubtful,
@@ -60,15 +59,15 @@ impl FitReason {
 /// The verdict on the fit after one step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Fit {
-    verdict: FitVerdict,
+    verdict: Option<FitVerdict>,
     reasons: u16,
     follows_jump: bool,
 }
 
 impl Fit {
-    /// Returns the verdict.
+    /// Returns the verdict; `None` where the fit is not measured, and before there are enough steps to judge it.
     #[must_use]
-    pub fn verdict(&self) -> FitVerdict {
+    pub fn verdict(&self) -> Option<FitVerdict> {
         self.verdict
     }
 
@@ -93,7 +92,7 @@ impl Fit {
         } else {
             return;
         };
-        self.verdict = self.verdict.max(verdict);
+        self.verdict = self.verdict.max(Some(verdict));
         self.reasons |= reason.bit();
     }
 }
@@ -135,8 +134,9 @@ const WITH_EXCITATION: Limits = Limits { doubtful: 0.3, contradicted: f64::INFIN
 /// Prior deviations by which a parameter exceeds its prior mean: no event stiffens a structure so. Where the motion is well
 /// explained, the number of the file is wrong.
 const STIFFER: Limits = Limits { doubtful: 3.0, contradicted: 4.0 };
-/// Factor by which a parameter falls below its prior mean. Severe damage reaches six; ten is a mistake of units. Where the
-/// motion is well explained, a loss against a reference has a meaning in both cases.
+/// Factor by which a parameter falls below its prior mean, if it also leaves the standard deviation of its prior. Severe damage
+/// reaches six; ten is a mistake of units. Where the motion is well explained, a loss against a reference has a meaning in
+/// both cases.
 const SOFTER: Limits = Limits { doubtful: 4.0, contradicted: 8.0 };
 /// Normalised innovation squared per channel, over a period.
 const BURST: Limits = Limits { doubtful: 4.0, contradicted: 16.0 };
@@ -159,9 +159,22 @@ pub(crate) struct Shown<'a> {
     pub(crate) noise: &'a DMatrix<f64>,
     /// `νᵀ S⁻¹ ν` per used channel
     pub(crate) normalised_innovation_squared: f64,
+    /// diagonal of `S − R` (N_0): what the innovations owe to the state and to the excitation
+    pub(crate) predicted_variances: &'a [f64],
     pub(crate) at_bound: bool,
-    /// mean, prior mean and prior deviation of each parameter (N_θ)
-    pub(crate) parameters: [&'a [f64]; 3],
+    pub(crate) parameters: ShownParameters<'a>,
+}
+
+/// What one step shows of the parameters (N_θ each).
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ShownParameters<'a> {
+    pub(crate) means: &'a [f64],
+    /// variances of the filter's own
+    pub(crate) variances: &'a [f64],
+    pub(crate) prior_means: &'a [f64],
+    pub(crate) prior_stds: &'a [f64],
+    /// deviations of errors that no data reveal, such as those by an unmeasured excitation
+    pub(crate) considered_stds: &'a [f64],
 }
 
 /// The measures of fit between two steps.
@@ -186,6 +199,8 @@ struct ChannelState {
     observation: f64,
     observation_square: f64,
     square: f64,
+    /// part of the squares that an unmeasured excitation causes
+    from_excitation: f64,
     lagged: Vec<f64>,
     with_excitation: Vec<f64>,
     weight: f64,
@@ -201,6 +216,7 @@ impl FitState {
                 observation: 0.0,
                 observation_square: 0.0,
                 square: 0.0,
+                from_excitation: 0.0,
                 lagged: vec![0.0; lags.len()],
                 with_excitation: vec![0.0; lags.len() * inputs],
                 weight: 0.0,
@@ -277,6 +293,9 @@ impl FitState {
             channel.observation_square =
                 fade * channel.observation_square + (observation - channel.observation).powi(2);
             channel.square = fade * channel.square + innovation * innovation;
+            // no model predicts an excitation that nobody measures
+            let from_excitation = if settings.excitation_is_measured { 0.0 } else { shown.predicted_variances[c] };
+            channel.from_excitation = fade * channel.from_excitation + from_excitation;
             for (k, lag) in lags.iter().enumerate() {
                 let past = (row + (rows - lag) * width) % (rows * width);
                 channel.lagged[k] = fade * channel.lagged[k] + innovation * self.history[past + c];
@@ -292,7 +311,7 @@ impl FitState {
     }
 
     fn judge(&mut self, misfit: &MisfitState, shown: &Shown<'_>) {
-        let mut fit = Fit { follows_jump: false, ..Fit::default() };
+        let mut fit = Fit { verdict: Some(FitVerdict::Supported), ..Fit::default() };
         for (c, (channel, measures)) in self.channels.iter().zip(&mut self.fits).enumerate() {
             *measures = channel.measures(shown.noise[(c, c)], &self.excitation_square);
             fit.judge(FitReason::CorrelatedInnovations, measures.largest_autocorrelation, CORRELATION);
@@ -300,15 +319,19 @@ impl FitState {
             fit.judge(FitReason::LittleExplained, 1.0 - measures.explained_share, UNEXPLAINED);
             fit.judge(FitReason::ExcessNoise, measures.noise_ratio, NOISE);
         }
+        let ShownParameters { means, variances, prior_means, prior_stds, considered_stds } = shown.parameters;
         for j in 0..misfit.parameter_len() {
-            fit.judge(FitReason::WanderingParameters, misfit.variance_ratio(j), WANDERING);
+            // a considered error covers a part of the wandering
+            let uncovered = variances[j] / (variances[j] + considered_stds[j].powi(2));
+            fit.judge(FitReason::WanderingParameters, misfit.variance_ratio(j) * uncovered, WANDERING);
         }
         let explained = self.fits.iter().map(|measures| measures.explained_share).fold(1.0, f64::min);
         let far = |limits: Limits| if explained >= WELL_EXPLAINED { limits.for_doubt() } else { limits };
-        let [means, prior_means, prior_stds] = shown.parameters;
         for ((mean, prior_mean), prior_std) in means.iter().zip(prior_means).zip(prior_stds) {
             fit.judge(FitReason::FarFromPrior, (mean - prior_mean) / prior_std, far(STIFFER));
-            fit.judge(FitReason::FarFromPrior, prior_mean / mean, far(SOFTER));
+            if prior_mean - mean > *prior_std {
+                fit.judge(FitReason::FarFromPrior, prior_mean / mean, far(SOFTER));
+            }
         }
         fit.judge(FitReason::ParameterAtBound, self.at_bound, AT_BOUND);
         fit.judge(FitReason::InnovationBurst, self.burst, BURST);
@@ -343,7 +366,7 @@ impl ChannelState {
         let variance = if self.weight > 0.0 { self.observation_square / self.weight } else { 0.0 };
         let largest = variance.max(self.stated_noise); // below the stated noise there is no motion to explain
         // innovations and motion have the same memory; the noise level has another
-        let innovation = if self.weight > 0.0 { self.square / self.weight } else { 0.0 };
+        let innovation = if self.weight > 0.0 { (self.square - self.from_excitation) / self.weight } else { 0.0 };
         let unexplained = if largest > 0.0 { (innovation - self.stated_noise) / largest } else { 0.0 };
         ChannelFit {
             largest_autocorrelation: correlations.map(f64::abs).fold(0.0, f64::max),
@@ -384,6 +407,7 @@ mod tests {
         jump_threshold: 5.0,
         jump_steps: 40,
         lag_steps: 10,
+        excitation_is_measured: true,
     };
 
     /// Takes steps of a sine of which the innovations leave this share; the parameter is at `mean`, its prior 1 ± 0.2.
@@ -400,8 +424,15 @@ mod tests {
                     excitation: &[],
                     noise: &noise,
                     normalised_innovation_squared: 1.0,
+                    predicted_variances: &[0.0],
                     at_bound: false,
-                    parameters: [&[mean], &[1.0], &[0.2]],
+                    parameters: ShownParameters {
+                        means: &[mean],
+                        variances: &[1e-4],
+                        prior_means: &[1.0],
+                        prior_stds: &[0.2],
+                        considered_stds: &[0.0],
+                    },
                 },
             );
         }
@@ -416,7 +447,7 @@ mod tests {
         for (left, verdict) in [(0.1, FitVerdict::Doubtful), (0.9, FitVerdict::Contradicted)] {
             let mut fit = started();
             take(&mut fit, 0..300, left, 0.1);
-            assert_eq!(fit.fit().verdict(), verdict, "{left} of the motion left");
+            assert_eq!(fit.fit().verdict(), Some(verdict), "{left} of the motion left");
             assert!(fit.fit().reasons().any(|reason| reason == FitReason::FarFromPrior));
         }
     }

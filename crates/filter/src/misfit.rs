@@ -62,6 +62,8 @@ pub struct MisfitSettings {
     pub jump_steps: u64,
     /// Largest lag at which the innovations are compared with themselves and with the excitation: one fundamental period.
     pub lag_steps: usize,
+    /// Whether every excitation is measured. The effect of an unmeasured one is part of the innovations of a right model.
+    pub excitation_is_measured: bool,
 }
 
 /// Misfit of one parameter.

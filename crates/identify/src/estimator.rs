@@ -199,7 +199,8 @@ impl Estimator {
         }
     }
 
-    /// Returns the verdict on the fit after the last step: of several model classes, that of the most plausible one.
+    /// Returns the verdict on the fit after the last step: of several model classes, that of the most plausible one. There is
+    /// none where the fit is not measured.
     #[must_use]
     pub fn fit(&self) -> Fit {
         match self {

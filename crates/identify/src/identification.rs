@@ -578,7 +578,7 @@ impl Identification {
             prediction_only: used == 0,
             fit: judged.map(|judged| judged.verdict),
             fit_reasons: judged.map(|judged| judged.reasons).unwrap_or_default(),
-            follows_jump: judged.is_some_and(|judged| judged.follows_jump),
+            follows_jump: self.estimator.fit().follows_jump(),
         }
     }
 

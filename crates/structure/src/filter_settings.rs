@@ -109,6 +109,7 @@ impl Structure {
             jump_threshold: JUMP_THRESHOLD,
             jump_steps: (JUMP_PERIODS * period_steps) as u64,
             lag_steps: (period_steps as usize).max(1),
+            excitation_is_measured: self.excitations.iter().all(|excitation| excitation.channel().is_some()),
         })
     }
 

@@ -64,6 +64,8 @@ pub(super) struct Workspace {
     pub(super) ramp: DVector<f64>,
     /// diagonal of S with the noise levels before this step moves them (N_0)
     pub(super) variances: DVector<f64>,
+    /// diagonal of `S − R`
+    pub(super) predicted_variances: DVector<f64>,
     pub(super) misfit: misfit::Workspace,
     /// residuals in order
     pub(super) sorted: Vec<f64>,
@@ -119,6 +121,7 @@ impl Workspace {
             newer_less_older: DVector::zeros(inputs),
             ramp: DVector::zeros(n),
             variances: DVector::zeros(channels),
+            predicted_variances: DVector::zeros(channels),
             misfit: misfit::Workspace::new(model.parameter_len()),
             sorted: Vec::with_capacity(settings.outliers.map_or(0, |outliers| outliers.recent_len())),
         })

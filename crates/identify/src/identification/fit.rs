@@ -13,14 +13,11 @@ pub(super) struct Judged {
     pub(super) follows_jump: bool,
 }
 
-/// Returns the verdict after the last step; `None` for particles, whose fit nobody judges.
+/// Returns the verdict after the last step; `None` where nobody has measured the fit.
 pub(super) fn judged(estimator: &Estimator) -> Option<Judged> {
-    if matches!(estimator, Estimator::Particles(_)) {
-        return None;
-    }
     let fit = estimator.fit();
     Some(Judged {
-        verdict: verdict(fit.verdict()),
+        verdict: verdict(fit.verdict()?),
         reasons: fit.reasons().map(reason).collect(),
         follows_jump: fit.follows_jump(),
     })

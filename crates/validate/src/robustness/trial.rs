@@ -58,7 +58,9 @@ pub(super) fn run(building: &Building, stated: &Stated, duration_s: f64, seed: u
             let std: Vec<f64> =
                 (0..last.mean.len()).map(|j| last.variance(j).unwrap_or(f64::NAN).max(0.0).sqrt()).collect();
             trial.look(building, &last.mean, &std, time_s, &raised);
-            trial.verdicts[identification.estimator().fit().verdict() as usize] += 1;
+            if let Some(verdict) = identification.estimator().fit().verdict() {
+                trial.verdicts[verdict as usize] += 1;
+            }
         }
         for alert in alerts.drain(..) {
             let time_s = alert.estimate.time_ns as f64 / 1e9;
