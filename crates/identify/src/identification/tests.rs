@@ -399,15 +399,19 @@ proptest! {
 
 #[test]
 fn verdict_on_the_fit_is_shown_with_the_parameters_and_in_the_flags() {
-    let (structure, block) = of_text(|text| text, 300);
+    let (structure, block) = of_text(|text| text, 3000);
     let outputs = identified(&structure, block);
     let shown: Vec<_> =
         outputs.iter().filter_map(|output| if let Output::Fit(fit) = output { Some(fit) } else { None }).collect();
-    let of_parameter =
-        |output: &&Output| matches!(output, Output::Parameter(display) if display.parameter.as_str() == "storey-1");
-    let times = outputs.iter().filter(of_parameter).count();
-    assert!(shown.len() >= times && times == 30, "{} of {times}", shown.len());
-    let last = estimates(&outputs)[299].flags;
+    let flags: Vec<_> = estimates(&outputs).iter().map(|estimate| estimate.flags).collect();
+    let first = flags.iter().position(|flags| flags.fit.is_some()).unwrap();
+    let ten_periods = (10.0 * 100.0 / structure.natural_frequencies_hz()[0]) as usize;
+    assert!((ten_periods..ten_periods + 200).contains(&first), "{first}, ten periods are {ten_periods} frames");
+    assert!(flags[first..].iter().all(|flags| flags.fit.is_some()));
+    // ten times a second
+    let least = (3000 - first) / 10;
+    assert!(shown.len() >= least, "{} of {least}", shown.len());
+    let last = estimates(&outputs)[2999].flags;
     assert_eq!(last.fit, shown.last().map(|fit| fit.verdict));
     assert!(
         shown
