@@ -61,7 +61,9 @@ pub struct SpanSummary {
 impl SpanSummary {
     /// Variance of the sound value as far as this span tells: both parts together.
     pub fn variance(&self) -> f64 {
-        self.estimate_variance + self.drift_variance + 2.0 * (self.drift_variance - self.estimate_variance).max(0.0)
+        self.estimate_variance
+            + self.drift_variance
+            + 2.0 * (self.drift_variance - self.estimate_variance).max(0.0)
     }
 }
 
@@ -71,7 +73,9 @@ mod tests {
 
     fn summary(frames: &[(f64, f64)]) -> SpanSummary {
         let mut learning = Learning::new();
-        frames.iter().for_each(|(mean, std)| learning.add(*mean, *std));
+        frames
+            .iter()
+            .for_each(|(mean, std)| learning.add(*mean, *std));
         learning.summary().unwrap()
     }
 
